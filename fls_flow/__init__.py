@@ -1,0 +1,51 @@
+"""Dataflow for forward-looking sonar: what a plugin, a notebook or a test needs."""
+
+from fls_flow.errors import FlsFlowError, InputError, UserError
+from fls_flow.hookspecs import hookimpl
+from fls_flow.messages import (
+    BeamMask,
+    Classes,
+    DetectionKind,
+    Detections,
+    Features,
+    Frame,
+    HydrophoneBlock,
+    Intensity,
+    Message,
+    Mount,
+    NavState,
+    Ping,
+    Sealed,
+    Tracks,
+    TrackStatus,
+    Truth,
+    View,
+    Wakes,
+    array,
+)
+
+__all__ = [
+    "BeamMask",
+    "Classes",
+    "DetectionKind",
+    "Detections",
+    "Features",
+    "FlsFlowError",
+    "Frame",
+    "HydrophoneBlock",
+    "InputError",
+    "Intensity",
+    "Message",
+    "Mount",
+    "NavState",
+    "Ping",
+    "Sealed",
+    "TrackStatus",
+    "Tracks",
+    "Truth",
+    "UserError",
+    "View",
+    "Wakes",
+    "array",
+    "hookimpl",
+]

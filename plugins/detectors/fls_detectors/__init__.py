@@ -1,0 +1,1 @@
+"""Detectors: from pings to detections, noisy beams and wakes."""

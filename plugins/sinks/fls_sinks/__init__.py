@@ -1,0 +1,1 @@
+"""Sinks: files and pictures of what a graph finds."""

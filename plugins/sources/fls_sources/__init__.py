@@ -1,0 +1,1 @@
+"""Sources: simulated scenes, recordings and files of detections."""
