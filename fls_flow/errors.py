@@ -76,7 +76,8 @@ class NodeError(RunError):
 
     def __init__(self, node: str, index: int | None, seq: int | None, cause: str) -> None:
         self.node, self.index, self.seq, self.cause = node, index, seq, cause
-        at = "" if index is None else f" at ping seq {seq} (index {index})"
+        ping = f"index {index}" if seq is None else f"ping seq {seq} (index {index})"
+        at = "" if index is None else f" at {ping}"
         super().__init__(f"node '{node}' failed{at}: {cause}")
 
 

@@ -1,0 +1,120 @@
+"""What nodes tell each other, whatever carries it: `memory` inside one process, later Zenoh between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+from fls_flow.messages import Message
+
+__all__ = [
+    "ClockEnd",
+    "Delivery",
+    "End",
+    "Finished",
+    "Inbox",
+    "Item",
+    "Link",
+    "Sample",
+    "SamplesEnd",
+    "Started",
+    "Wake",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """The value of a port for the firing `index`."""
+
+    port: str
+    index: int
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """Nothing comes on a port after firing `last`; -1: nothing at all."""
+
+    port: str
+    last: int
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One message of a stream; streams have no index."""
+
+    port: str
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class SamplesEnd:
+    """A stream has ended."""
+
+    port: str
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """Node `node` is done with firing `index`: it moves the window."""
+
+    node: str
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """The clock has started a ping: streams may run up to its stamp."""
+
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClockEnd:
+    """The clock has started its last ping."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wake:
+    """Something outside the link has changed: look again."""
+
+
+Item: TypeAlias = Delivery | End | Sample | SamplesEnd | Finished | Started | ClockEnd | Wake
+
+
+class Inbox(Protocol):
+    """Where the items for one node arrive, in order per sender."""
+
+    def post(self, item: Item) -> None:
+        """Add an item; never blocks. Raises LinkError when an edge has no room left."""
+
+    def get(self, timeout_s: float | None = None) -> Item | None:
+        """The next item, or None when none has come in time."""
+
+    def release(self, port: str) -> None:
+        """Give back the room of one delivery on `port`, after it was used."""
+
+
+class Link(Protocol):
+    """Carries items between the nodes of one graph."""
+
+    def inbox(self, node: str) -> Inbox:
+        """The inbox of a node."""
+
+    def send(self, node: str, output: str, index: int, message: Message) -> None:
+        """Deliver a value to all who take that output."""
+
+    def sample(self, node: str, output: str, message: Message) -> None:
+        """Deliver a stream's message to all who take it."""
+
+    def end(self, node: str, last: int) -> None:
+        """Tell all who take anything of `node` that firing `last` was its last."""
+
+    def finished(self, node: str, index: int) -> None:
+        """Tell the clock that `node`, which holds the window, is done with a firing."""
+
+    def started(self, stamp_ns: int) -> None:
+        """Tell the streams that the clock has started a ping."""
+
+    def clock_end(self) -> None:
+        """Tell the streams that no ping will be started any more."""

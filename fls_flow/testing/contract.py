@@ -1,0 +1,158 @@
+"""Hold a node to the contract that every plugin keeps."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fls_flow import wire
+from fls_flow.catalog import Catalog, Kind, describe
+from fls_flow.messages import Message
+from fls_flow.runtime.answer import named, same_ping
+from fls_flow.testing.samples import sample_firings
+
+__all__ = ["check_node"]
+
+
+def check_node(node: Any, firings: Sequence[Mapping[str, Any]] | None = None) -> None:
+    """Hold a node to the contract; raises AssertionError that names the broken rule.
+
+    `node` is an instance, a class whose parameters all have defaults, or the name of an installed kind.
+    `firings` are its inputs ping by ping, as keyword arguments; by default small made-up ones, empty messages
+    among them. Checked: every ping is answered with the promised types, seq and stamp; inputs are not
+    written; answers do not change later, nor when the memory of the inputs is reused (they are overwritten
+    after each firing); a second instance gives the same bits; `snapshot()` and `restore()` carry on with the
+    same bits. A source is checked on its first pings.
+    """
+    instance, kind = _instance(node)
+    if kind.source:
+        _check_source(instance, kind)
+        return
+    firings = sample_firings(kind) if firings is None else firings
+    first = _fired(_fresh(instance), kind, firings)
+    second = _fired(_fresh(instance), kind, firings)
+    _same(first, second, "a second instance gives other bits: seed what is random, keep no state outside")
+    if kind.restorable:
+        _check_restore(instance, kind, firings, first)
+
+
+def _instance(node: Any) -> tuple[Any, Kind]:
+    if isinstance(node, str):
+        node = Catalog().load(node).cls
+    if isinstance(node, type):
+        kind = describe(node)
+        required = [one.name for one in kind.parameters if one.required]
+        assert not required, f"{node.__name__} needs {', '.join(required)}: give check_node an instance"
+        return node(), kind
+    return node, describe(type(node))
+
+
+def _fresh(instance: Any) -> Any:
+    parameters = {one.name: getattr(instance, one.name) for one in dataclasses.fields(instance) if one.init}
+    return type(instance)(**parameters)
+
+
+Record = list[dict[str, bytes]]
+
+
+def _fired(instance: Any, kind: Kind, firings: Sequence[Mapping[str, Any]]) -> Record:
+    """The encoded answers; inputs live in memory that is overwritten after each firing."""
+    record: Record = []
+    kept: list[dict[str, Message]] = []
+    try:
+        for inputs in firings:
+            copies = {port: _Lent(value) for port, value in inputs.items()}
+            answer = instance(**{port: lent.value for port, lent in copies.items()})
+            outputs = _checked_answer(kind, answer, inputs)
+            kept.append(outputs)
+            record.append({port: wire.encode(message) for port, message in outputs.items()})
+            for port, lent in copies.items():
+                assert lent.unchanged(), f"the node writes into its input '{port}'; copy it first"
+                lent.overwrite()
+            later = [{port: wire.encode(message) for port, message in outputs.items()} for outputs in kept]
+            why = "an answer changed after it was given: it shares memory with an input or with the node"
+            _same(record, later, f"{why}; copy what you return")
+    finally:
+        getattr(instance, "close", lambda: None)()
+    return record
+
+
+def _checked_answer(kind: Kind, answer: Any, inputs: Mapping[str, Any]) -> dict[str, Message]:
+    ping = next(value for value in inputs.values() if value is not None and not isinstance(value, tuple))
+    try:
+        outputs = named(kind, answer)
+        same_ping(outputs.values(), ping.seq, ping.stamp_ns)
+    except Exception as error:
+        raise AssertionError(f"ping seq {ping.seq}: {error}") from error
+    for port, message in outputs.items():
+        for one in dataclasses.fields(message):  # type: ignore[arg-type]  # messages are dataclasses
+            value = getattr(message, one.name)
+            writable = isinstance(value, np.ndarray) and value.flags.writeable
+            assert not writable, f"'{port}.{one.name}' can be written; messages are read-only"
+    return outputs
+
+
+class _Lent:
+    """An input whose arrays lie in memory that can be overwritten, as a shared slot is after its release."""
+
+    def __init__(self, value: Any) -> None:
+        one_by_one = value if isinstance(value, tuple) else (value,)
+        self._buffers = [bytearray(wire.encode(one)) for one in one_by_one if one is not None]
+        self._before = [bytes(buffer) for buffer in self._buffers]
+        messages = iter([wire.decode(buffer, type(one)) for buffer, one in self._pairs(one_by_one)])
+        if isinstance(value, tuple):
+            self.value: Any = tuple(messages)
+        else:
+            self.value = next(messages, None)
+
+    def _pairs(self, values: tuple[Any, ...]) -> Iterator[tuple[bytearray, Any]]:
+        return zip(self._buffers, [one for one in values if one is not None], strict=True)
+
+    def unchanged(self) -> bool:
+        """Whether every byte is as it was."""
+        return all(bytes(now) == before for now, before in zip(self._buffers, self._before, strict=True))
+
+    def overwrite(self) -> None:
+        """Fill the memory with another pattern."""
+        for buffer in self._buffers:
+            buffer[:] = b"\xa5" * len(buffer)
+
+
+def _same(first: Record, second: Record, why: str) -> None:
+    for number, (one, other) in enumerate(zip(first, second, strict=True)):
+        for port in one:
+            assert one[port] == other[port], f"firing {number}, output '{port}': {why}"
+
+
+def _check_restore(instance: Any, kind: Kind, firings: Sequence[Mapping[str, Any]], whole: Record) -> None:
+    half = len(firings) // 2
+    before, after = _fresh(instance), _fresh(instance)
+    for inputs in firings[:half]:
+        before(**inputs)
+    state = before.snapshot()
+    assert isinstance(state, dict), f"snapshot() gives {type(state).__name__}; it gives a dict"
+    for inputs in firings[half:]:
+        before(**inputs)  # a snapshot must not follow the node that it was taken from
+    if not kind.outputs:
+        return
+    after.restore(state)
+    carried = _fired(after, kind, firings[half:])
+    _same(carried, whole[half:], "after snapshot() and restore() the bits differ: some state is missing")
+
+
+def _check_source(instance: Any, kind: Kind, pings: int = 5) -> None:
+    runs: list[Record] = []
+    for _ in range(2):
+        record: Record = []
+        iterator = iter(_fresh(instance)())
+        for _, produced in zip(range(pings), iterator, strict=False):
+            outputs = named(kind, produced)
+            first = next(iter(outputs.values()))
+            same_ping(outputs.values(), first.seq, first.stamp_ns)
+            record.append({port: wire.encode(message) for port, message in outputs.items()})
+        runs.append(record)
+    assert len(runs[0]) == len(runs[1]), "a second iteration gives another number of pings"
+    _same(runs[0], runs[1], "a second iteration gives other bits: seed what is random")
