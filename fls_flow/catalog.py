@@ -144,7 +144,7 @@ class Catalog:
         """
         if name not in self._loaded:
             extra = self._extra.get(name)
-            self._loaded[name] = describe(extra, name) if extra else self._installed(name)
+            self._loaded[name] = self._installed(name) if extra is None else describe(extra, name)
         return self._loaded[name]
 
     def _installed(self, name: str) -> Kind:
@@ -160,9 +160,10 @@ class Catalog:
 
 
 def _listing(entry: importlib.metadata.EntryPoint) -> Listing:
-    distribution = entry.dist
-    name, version = (distribution.name, distribution.version) if distribution else ("unknown", "")
-    return Listing(entry.name, name, version, entry.value)
+    metadata = {key: entry.dist.metadata[key] for key in entry.dist.metadata} if entry.dist else {}
+    return Listing(
+        entry.name, metadata.get("Name", "unknown"), metadata.get("Version", "unknown"), entry.value
+    )
 
 
 def _owner(listing: Listing) -> str:
@@ -174,23 +175,29 @@ def _hooked(entry: importlib.metadata.EntryPoint, listing: Listing) -> type:
     blame = f"kind '{listing.kind}' of {_owner(listing)}"
     try:
         module = entry.load()
-    except Exception as error:
-        cause = f"{type(error).__name__}: {error}"
+    except (Exception, SystemExit) as error:
+        cause = _cause(error)
         raise PluginError(f"{blame} cannot be imported: {cause}; mend or uninstall it") from error
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
     try:
         manager.register(module, name=listing.module)
         manager.check_pending()
+        found = manager.hook.fls_node()
     except pluggy.PluginValidationError as error:
         reason = " ".join(str(error).split())
         raise PluginError(
             f"{blame} has a hook that does not exist: {reason}; the hook is fls_node()"
         ) from error
-    found = manager.hook.fls_node()
+    except Exception as error:
+        raise PluginError(f"{blame}: fls_node() raised {_cause(error)}; mend or uninstall it") from error
     if len(found) != 1 or not isinstance(found[0], type):
         raise PluginError(f"{blame} has no `@hookimpl def fls_node()` that returns a class")
     return found[0]
+
+
+def _cause(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def describe(cls: type, name: str | None = None) -> Kind:
@@ -198,15 +205,12 @@ def describe(cls: type, name: str | None = None) -> Kind:
 
     Raises PluginError that says what the class lacks.
     """
-    blame = f"kind '{name}' ({cls.__module__}.{cls.__qualname__})" if name else cls.__qualname__
     if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
-        raise PluginError(f"{blame} is not a dataclass")
-    if "__call__" not in cls.__dict__ and not any("__call__" in base.__dict__ for base in cls.__mro__[:-1]):
+        raise PluginError(f"kind '{name or cls}' is not a dataclass; put @dataclass over its class")
+    blame = f"kind '{name}' ({cls.__module__}.{cls.__qualname__})" if name else cls.__qualname__
+    if not any("__call__" in base.__dict__ for base in cls.__mro__[:-1]):
         raise PluginError(f"{blame} has no __call__")
-    try:
-        fields, hints = typing.get_type_hints(cls), typing.get_type_hints(cls.__call__)
-    except Exception as error:
-        raise PluginError(f"{blame} has an annotation that cannot be resolved: {error}") from error
+    fields, hints = _hints(cls, blame), _hints(cls.__call__, blame)
     inputs, takes_any = _inputs(cls, hints, blame)
     if "return" not in hints:
         raise PluginError(f"{blame}: annotate what __call__ returns (None for a sink)")
@@ -218,7 +222,9 @@ def describe(cls: type, name: str | None = None) -> Kind:
     return Kind(
         name or _snake(cls.__name__).replace("_", "-"),
         cls,
-        tuple(_parameter(field, fields[field.name]) for field in dataclasses.fields(cls) if field.init),
+        tuple(
+            _parameter(field, fields[field.name], blame) for field in dataclasses.fields(cls) if field.init
+        ),
         inputs,
         outputs,
         takes_any,
@@ -227,12 +233,22 @@ def describe(cls: type, name: str | None = None) -> Kind:
     )
 
 
-def _parameter(field: dataclasses.Field[Any], annotation: Any) -> Parameter:
+def _hints(annotated: Any, blame: str) -> dict[str, Any]:
+    try:
+        return typing.get_type_hints(annotated)
+    except Exception as error:
+        raise PluginError(f"{blame} has an annotation that cannot be resolved: {error}") from error
+
+
+def _parameter(field: dataclasses.Field[Any], annotation: Any, blame: str) -> Parameter:
     if field.default is not dataclasses.MISSING:
         return Parameter(field.name, annotation, False, field.default)
-    if field.default_factory is not dataclasses.MISSING:
+    if field.default_factory is dataclasses.MISSING:
+        return Parameter(field.name, annotation, True)
+    try:
         return Parameter(field.name, annotation, False, field.default_factory())
-    return Parameter(field.name, annotation, True)
+    except Exception as error:
+        raise PluginError(f"{blame}: the default of '{field.name}' raised {_cause(error)}") from error
 
 
 def _inputs(cls: type, hints: dict[str, Any], blame: str) -> tuple[tuple[InPort, ...], Any]:
@@ -246,8 +262,12 @@ def _inputs(cls: type, hints: dict[str, Any], blame: str) -> tuple[tuple[InPort,
             raise PluginError(
                 f"{blame}: inputs have names; '*{parameter.name}' has none, use '**{parameter.name}'"
             )
+        if parameter.kind is inspect.Parameter.POSITIONAL_ONLY:
+            raise PluginError(f"{blame}: '{parameter.name}' is positional-only; remove the '/' after it")
         port = _in_port(parameter, hints[parameter.name], blame)
         if parameter.kind is inspect.Parameter.VAR_KEYWORD:
+            if port.nullable or port.stream:
+                raise PluginError(f"{blame}: annotate '**{parameter.name}' with a message class or Message")
             takes_any = port.message
         else:
             ports.append(port)
@@ -280,10 +300,13 @@ def _outputs(hint: Any, blame: str) -> tuple[tuple[OutPort, ...], type | None]:
     if is_message_type(hint):
         return (OutPort(_snake(hint.__name__), hint),), None
     if isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields"):
-        ports = tuple(OutPort(name, one) for name, one in typing.get_type_hints(hint).items())
+        hints = _hints(hint, blame)
+        ports = tuple(OutPort(name, hints.get(name, object)) for name in hint._fields)
         wrong = [port.name for port in ports if not is_message_type(port.message)]
-        if not wrong:
+        if ports and not wrong:
             return ports, hint
+        if not ports:
+            raise PluginError(f"{blame} returns {_name(hint)}, which has no fields; None makes a sink")
         raise PluginError(f"{blame}: the output '{wrong[0]}' is not annotated with a message class")
     raise PluginError(
         f"{blame} returns {_name(hint)}; it returns a message, a NamedTuple of messages or None"
@@ -291,7 +314,7 @@ def _outputs(hint: Any, blame: str) -> tuple[tuple[OutPort, ...], type | None]:
 
 
 def _snake(name: str) -> str:
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name).lower()
 
 
 def _name(hint: Any) -> str:

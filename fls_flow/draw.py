@@ -12,7 +12,7 @@ __all__ = ["mermaid", "svg"]
 
 SHAPES = {"source": ("([", "])"), "sink": ("[/", "/]")}
 COLOURS = {"source": "#d7ecff", "sink": "#e6e6e6", "tracker": "#ffe9c7", "detector": "#dff3df"}
-CHAR, LINE, PAD, GAP_X, GAP_Y, LANE = 7.4, 17.0, 12.0, 96.0, 26.0, 14.0
+CHAR, LABEL, LINE, PAD, GAP_X, GAP_Y, LANE = 7.4, 5.6, 17.0, 12.0, 40.0, 26.0, 14.0
 
 
 def mermaid(graph: Graph) -> str:
@@ -63,7 +63,8 @@ def svg(graph: Graph) -> str:
     for column in columns[1:]:
         places = {box.name: n for one in columns for n, box in enumerate(one)}
         column.sort(key=lambda box: sum(places[b] for b in box.before) / max(1, len(box.before)))
-    _place(columns)
+    _place(columns, _gaps(graph, ways, boxes, depth))
+    ends = _ends(graph, ways, boxes)
     bottom = max(box.y + box.height for box in boxes.values())
     root = ElementTree.Element("svg", xmlns="http://www.w3.org/2000/svg")
     _arrow_head(root)
@@ -72,9 +73,10 @@ def svg(graph: Graph) -> str:
         for wire in node.inputs:
             if wire.mode == "previous":
                 feedback += 1
-                _feedback(root, boxes[wire.node], boxes[node.name], wire, bottom + 22.0 * feedback)
+                _feedback(root, boxes[wire.node], boxes[node.name], wire, bottom + 22.0 * feedback, feedback)
             else:
-                _wire(root, [boxes[name] for name in ways[node.name, wire.port]], wire)
+                way = [boxes[name] for name in ways[node.name, wire.port]]
+                _wire(root, way, wire, ends[node.name, wire.port])
     for box in boxes.values():
         if box.node is not None:
             _draw_box(root, box, box.node)
@@ -115,17 +117,44 @@ def _way(boxes: dict[str, _Box], wire: Input, taker: str) -> list[str]:
     return [*way, taker]
 
 
-def _place(columns: list[list[_Box]]) -> None:
+def _gaps(
+    graph: Graph, ways: dict[tuple[str, str], list[str]], boxes: dict[str, _Box], depth: int
+) -> list[float]:
+    """The room between layers: that of the longest label written there."""
+    gaps = [GAP_X] * depth
+    for node in graph.nodes:
+        for wire in node.inputs:
+            if wire.mode != "previous":
+                layer = boxes[ways[node.name, wire.port][-2]].layer
+                gaps[layer] = max(gaps[layer], len(_label(wire)) * LABEL + GAP_X)
+    return gaps
+
+
+def _ends(
+    graph: Graph, ways: dict[tuple[str, str], list[str]], boxes: dict[str, _Box]
+) -> dict[tuple[str, str], float]:
+    """Where each wire meets its box: spread over the box's side, in the order in which they come."""
+    ends: dict[tuple[str, str], float] = {}
+    for node in graph.nodes:
+        coming = [(node.name, wire.port) for wire in node.inputs if wire.mode != "previous"]
+        coming.sort(key=lambda key: boxes[ways[key][-2]].middle)
+        box = boxes[node.name]
+        for n, key in enumerate(coming, start=1):
+            ends[key] = box.y + box.height * n / (len(coming) + 1)
+    return ends
+
+
+def _place(columns: list[list[_Box]], gaps: list[float]) -> None:
     heights = [sum(box.height for box in column) + GAP_Y * (len(column) - 1) for column in columns]
     x = 20.0
-    for column, height in zip(columns, heights, strict=True):
+    for column, height, gap in zip(columns, heights, gaps, strict=True):
         width = max(box.width for box in column)
         y = 20.0 + (max(heights) - height) / 2.0
         for box in column:
             box.width = width
             box.x, box.y = x, y
             y += box.height + GAP_Y
-        x += width + GAP_X
+        x += width + gap
 
 
 def _arrow_head(root: ElementTree.Element) -> None:
@@ -145,30 +174,29 @@ def _arrow_head(root: ElementTree.Element) -> None:
     ElementTree.SubElement(marker, "path", d="M0,0 L8,4 L0,8 z", fill="#555")
 
 
-def _wire(root: ElementTree.Element, way: list[_Box], wire: Input) -> None:
+def _wire(root: ElementTree.Element, way: list[_Box], wire: Input, end: float) -> None:
     start = way[0]
     path = [f"M{start.x + start.width:.1f},{start.middle:.1f}"]
     for left, right in itertools.pairwise(way):
         x0, x1 = left.x + left.width, right.x
-        bend = (x0 + x1) / 2.0
-        path.append(
-            f"C{bend:.1f},{left.middle:.1f} {bend:.1f},{right.middle:.1f} {x1:.1f},{right.middle:.1f}"
-        )
+        bend, y = (x0 + x1) / 2.0, end if right is way[-1] else right.middle
+        path.append(f"C{bend:.1f},{left.middle:.1f} {bend:.1f},{y:.1f} {x1:.1f},{y:.1f}")
         if right is not way[-1]:
-            path.append(f"L{x1 + right.width:.1f},{right.middle:.1f}")
+            path.append(f"L{x1 + right.width:.1f},{y:.1f}")
     _stroke(root, " ".join(path), "4 3" if wire.mode == "time" else None)
-    last, end = way[-2], way[-1]
-    x, y = (last.x + last.width + end.x) / 2.0, (last.middle + end.middle) / 2.0
-    _text(root, x, y - 4.0, _label(wire), 9.5, "#444")
+    last = way[-2]
+    _text(root, (last.x + last.width + way[-1].x) / 2.0, (last.middle + end) / 2.0 - 4.0, _label(wire), 9.5)
 
 
-def _feedback(root: ElementTree.Element, giver: _Box, taker: _Box, wire: Input, level: float) -> None:
-    x0, x1 = giver.x + giver.width / 2.0, taker.x + taker.width / 2.0
+def _feedback(
+    root: ElementTree.Element, giver: _Box, taker: _Box, wire: Input, level: float, number: int
+) -> None:
+    x0, x1 = giver.x + giver.width / 2.0, taker.x + taker.width / 2.0 + 9.0 * (number - 1)
     y0, y1 = giver.y + giver.height, taker.y + taker.height
     path = f"M{x0:.1f},{y0:.1f} V{level - 8:.1f} Q{x0:.1f},{level:.1f} {x0 - 8:.1f},{level:.1f} "
     path += f"H{x1 + 8:.1f} Q{x1:.1f},{level:.1f} {x1:.1f},{level - 8:.1f} V{y1:.1f}"
     _stroke(root, path, "6 4")
-    _text(root, (x0 + x1) / 2.0, level - 4.0, _label(wire), 9.5, "#444")
+    _text(root, (x0 + x1) / 2.0, level - 4.0, _label(wire), 9.5)
 
 
 def _stroke(root: ElementTree.Element, path: str, dashes: str | None) -> None:
@@ -193,7 +221,14 @@ def _draw_box(root: ElementTree.Element, box: _Box, node: Node) -> None:
 
 
 def _text(
-    root: ElementTree.Element, x: float, y: float, text: str, size: float, fill: str, *, bold: bool = False
+    root: ElementTree.Element,
+    x: float,
+    y: float,
+    text: str,
+    size: float,
+    fill: str = "#444",
+    *,
+    bold: bool = False,
 ) -> None:
     attributes = {"x": f"{x:.1f}", "y": f"{y:.1f}", "font-size": f"{size:g}", "fill": fill}
     attributes["text-anchor"] = "middle"

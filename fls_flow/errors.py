@@ -90,4 +90,4 @@ class InputError(FlsFlowError):
 
 
 class WireError(FlsFlowError):
-    """A buffer is not a whole, unaltered message of the expected type."""
+    """A buffer is no whole, unaltered message of the expected type, or a message cannot be carried."""

@@ -34,7 +34,8 @@ FloatArray = npt.NDArray[np.float64]
 
 def wrap(angle_rad: npt.ArrayLike) -> FloatArray:
     """The same angles in (-pi, pi]."""
-    return np.pi - np.mod(np.pi - np.asarray(angle_rad, float), 2.0 * np.pi)
+    wrapped = np.pi - np.mod(np.pi - np.asarray(angle_rad, float), 2.0 * np.pi)
+    return np.where(wrapped <= -np.pi, np.pi, wrapped)  # rounding may land on the open end
 
 
 def to_cartesian(range_m: npt.ArrayLike, bearing_rad: npt.ArrayLike) -> FloatArray:
@@ -46,7 +47,7 @@ def to_cartesian(range_m: npt.ArrayLike, bearing_rad: npt.ArrayLike) -> FloatArr
 def to_polar(position_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Range (m) and bearing (rad, in (-pi, pi]) of positions (..., 2)."""
     xy = np.asarray(position_m, float)
-    return np.hypot(xy[..., 0], xy[..., 1]), np.arctan2(xy[..., 1], xy[..., 0])
+    return np.hypot(xy[..., 0], xy[..., 1]), wrap(np.arctan2(xy[..., 1], xy[..., 0]))
 
 
 def debiased(

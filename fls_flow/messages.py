@@ -43,6 +43,7 @@ Frame = Literal["sensor", "ned"]
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+SampleArray = npt.NDArray[np.float32] | npt.NDArray[np.float64] | npt.NDArray[np.int16]
 AmplitudeArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
 Vector = tuple[float, float, float]
 
@@ -68,14 +69,17 @@ class _Shape:
     dims: tuple[int | str, ...]
 
 
-def array(dtype: npt.DTypeLike | tuple[npt.DTypeLike, ...], *dims: int | str) -> Any:
+def array(dtype: npt.DTypeLike | tuple[npt.DTypeLike, ...], *dims: int | str, optional: bool = False) -> Any:
     """A message's array field: its dtype (or the dtypes allowed) and shape; by default it is empty.
 
-    A named dimension (`"n"`) is equal in all arrays of one message; a number is that length.
+    A named dimension (`"n"`) is equal in all arrays of one message; a number is that length. An `optional`
+    one may be None, and is by default.
     """
     allowed = tuple(np.dtype(d) for d in (dtype if isinstance(dtype, tuple) else (dtype,)))
     empty = tuple(0 if isinstance(d, str) else d for d in dims)
     shape = _Shape(allowed, dims)
+    if optional:
+        return field(default=None, metadata={"shape": shape})
     return field(default_factory=lambda: np.zeros(empty, allowed[0]), metadata={"shape": shape})
 
 
@@ -158,9 +162,7 @@ class Ping(Sealed):
     amplitude: AmplitudeArray = array((np.float32, np.uint8, np.uint16), "n_ranges", "n_beams")
     range_m: FloatArray = array(float, "n_ranges")  # of each row's centre, increasing
     bearing_rad: FloatArray = array(float, "n_beams")  # of each column, from x to starboard; not always even
-    valid: BoolArray | None = field(  # cells with data; None: all
-        default=None, metadata={"shape": _Shape((np.dtype(bool),), ("n_ranges", "n_beams"))}
-    )
+    valid: BoolArray | None = array(bool, "n_ranges", "n_beams", optional=True)  # cells with data; None: all
     beamwidth_rad: float = float("nan")  # -3 dB, of one beam
     sound_speed_mps: float = 1500.0
     frequency_hz: float = float("nan")
@@ -178,6 +180,16 @@ class Ping(Sealed):
         return _spacing(self.bearing_rad) if self.bearing_rad.size > 1 else self.beamwidth_rad
 
 
+def _named(owner: str, what: str, names: tuple[str, ...], expected: int) -> None:
+    if len(names) != expected:
+        raise ValueError(f"{owner}.{what} names {len(names)}; there are {expected}")
+
+
+def _chosen(which: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """An index array as numpy takes it: an empty list has become one of floats."""
+    return which if np.size(which) else np.asarray(which, bool if np.asarray(which).dtype == bool else int)
+
+
 def _spacing(table: FloatArray) -> float:
     return float(np.median(np.abs(np.diff(table)))) if table.size > 1 else float("nan")
 
@@ -188,7 +200,7 @@ class HydrophoneBlock(Sealed):
 
     seq: int
     stamp_ns: int
-    samples: npt.NDArray[np.float32] = array((np.float32, np.float64, np.int16), "n_channels", "n_samples")
+    samples: SampleArray = array((np.float32, np.float64, np.int16), "n_channels", "n_samples")
     sample_rate_hz: float = float("nan")
     position_m: FloatArray = array(float, "n_channels", 3)  # of the hydrophones, sensor frame
     waveform: FloatArray = array(float, "n_pulse")  # transmitted, at sample_rate_hz
@@ -302,6 +314,7 @@ class Detections(Sealed):
 
     def select(self, which: npt.NDArray[Any]) -> Self:
         """Those that a mask or an index array selects, in its order."""
+        which = _chosen(which)
         return replace(
             self,
             range_m=self.range_m[which],
@@ -370,6 +383,7 @@ class Tracks(Sealed):
 
     def select(self, which: npt.NDArray[Any]) -> Self:
         """Those that a mask or an index array selects, in its order."""
+        which = _chosen(which)
         return replace(
             self,
             id=self.id[which],
@@ -407,6 +421,11 @@ class Features(Sealed):
     names: tuple[str, ...] = ()
     values: FloatArray = array(float, "n", "n_features")
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self):
+            _named("Features", "names", self.names, self.values.shape[1])
+
     def __len__(self) -> int:
         return self.track_id.size
 
@@ -422,6 +441,11 @@ class Classes(Sealed):
     label: IntArray = array(np.int64, "n")  # index into names
     posterior: FloatArray = array(float, "n", "n_classes")
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self):
+            _named("Classes", "names", self.names, self.posterior.shape[1])
+
     def __len__(self) -> int:
         return self.track_id.size
 
@@ -436,6 +460,10 @@ class Truth(Sealed):
     state: FloatArray = array(float, "n", 4)  # x, y (m), vx, vy (m/s) in `frame`
     class_name: tuple[str, ...] = ()  # one per target
     frame: Frame = "sensor"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _named("Truth", "class_name", self.class_name, self.target_id.size)
 
     def __len__(self) -> int:
         return self.target_id.size

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import os.path
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from fls_flow import parameters
 from fls_flow.catalog import Catalog, InPort, Kind, suggest
-from fls_flow.document import Value
+from fls_flow.document import Value, shown
 from fls_flow.errors import GraphError, PluginError, Problem
 from fls_flow.graph.model import Graph, Input, Mode, Node
-from fls_flow.graph.read import Draft, Source
+from fls_flow.graph.read import Draft, Source, giver
 from fls_flow.messages import Message
 
 __all__ = ["checked"]
@@ -27,12 +29,14 @@ class _Check:
     kinds: dict[str, Kind] = field(default_factory=dict)
     wires: dict[str, list[Input]] = field(default_factory=dict)
     arguments: dict[str, dict[str, Any]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    cut: set[str] = field(default_factory=set)  # nodes that lost a consumer with a swap
+    unwired: list[InPort] = field(default_factory=list)
     places: dict[tuple[str, str], str] = field(default_factory=dict)  # (node, port) -> where its wire stands
 
     def problem(self, where: str, what: str) -> None:
         self.source.problems.append(Problem(where, what))
+
+    def note(self, what: str) -> None:
+        self.source.notes.append(what)
 
 
 def checked(source: Source, catalog: Catalog, *, sinkless: bool = False) -> Graph:
@@ -60,7 +64,7 @@ def checked(source: Source, catalog: Catalog, *, sinkless: bool = False) -> Grap
     if source.problems:
         raise GraphError(sorted(dict.fromkeys(source.problems), key=_place))
     return Graph(
-        source.name, tuple(_node(check, name) for name in order), clock, source.path, tuple(check.notes)
+        source.name, tuple(_node(check, name) for name in order), clock, source.path, tuple(source.notes)
     )
 
 
@@ -77,10 +81,12 @@ def _node(check: _Check, name: str) -> Node:
 
 
 def _kind(check: _Check, draft: Draft) -> None:
+    if "node" in draft.faulty:
+        return
     if draft.use is None:
         check.problem(draft.where, f"node '{draft.name}' has no 'use'; name its kind")
     elif not isinstance(draft.use.data, str):
-        check.problem(draft.use.where, f"node '{draft.name}': 'use' is {draft.use.data!r}; it names a kind")
+        check.problem(draft.use.where, f"node '{draft.name}': 'use' is {shown(draft.use)}; it names a kind")
     else:
         try:
             check.kinds[draft.name] = check.catalog.load(draft.use.data)
@@ -92,91 +98,93 @@ def _kind(check: _Check, draft: Draft) -> None:
 
 
 def _wires(check: _Check, draft: Draft, kind: Kind) -> None:
-    wires: list[Input] = []
-    for port_name, value in draft.wires.items():
-        wire = _wire(check, draft, kind, port_name, value)
-        if wire is not None:
-            wires.append(wire)
+    before = len(check.source.problems)
+    written = {port: value for port, value in draft.wires.items() if not _fallen(check, draft, kind, port)}
+    tried = [_wire(check, draft, kind, port, value) for port, value in written.items()]
+    wires = [wire for wire in tried if wire is not None]
     check.wires[draft.name] = wires
-    wired = {wire.port for wire in wires} | (set(draft.wires) - draft.inherited_wires)
-    for port in kind.inputs:
-        if not port.optional and port.name not in wired:
+    if "in" in draft.faulty:
+        return
+    misnamed = [port for port in written if kind.input(port) is None]
+    missing = [port for port in kind.inputs if not port.optional and port.name not in written]
+    for port in missing:
+        check.unwired.append(port)
+        if not suggest(port.name, misnamed):
             needs = f"input '{port.name}' ({_message_name(port.message)})"
             check.problem(draft.where, f"node '{draft.name}': {needs} is not wired; '{kind.name}' needs it")
+    certain = len(wires) == len(written) and len(check.source.problems) == before
+    if certain and not kind.source and not any(wire.mode == "now" for wire in wires):
+        what = f"node '{draft.name}' has no plain input, so nothing tells it when to fire; wire one without @"
+        check.problem(draft.where, what)
+
+
+def _fallen(check: _Check, draft: Draft, kind: Kind, port: str) -> bool:
+    """Whether a wire came with another kind and this one has no such input."""
+    if port not in draft.inherited_wires or kind.input(port) is not None:
+        return False
+    check.note(f"node '{draft.name}': input '{port}' falls away; '{kind.name}' has none")
+    check.source.cut.add(giver(draft.wires[port]))
+    return True
 
 
 def _wire(check: _Check, draft: Draft, kind: Kind, port_name: str, value: Value) -> Input | None:
     port = kind.input(port_name)
-    parsed = _reference(check, draft.name, port_name, value)
     if port is None:
-        if port_name in draft.inherited_wires:
-            check.notes.append(f"node '{draft.name}': input '{port_name}' falls away; '{kind.name}' has none")
-            check.cut.update([parsed[0]] if parsed else [])
-            return None
         known = [one.name for one in kind.inputs]
         hint = suggest(port_name, known) or f"; it has {', '.join(known) or 'none'}"
-        check.problem(
-            value.where, f"node '{draft.name}': kind '{kind.name}' has no input '{port_name}'{hint}"
-        )
-        return None
-    if parsed is None or parsed[0] not in check.kinds:
+        what = f"node '{draft.name}': kind '{kind.name}' has no input '{port_name}'{hint}"
+        check.problem(value.where, what)
+    parsed = _reference(check, draft.name, port_name, value)
+    if port is None or parsed is None or parsed[0] not in check.kinds:
         return None
     name, output, mode = parsed
-    return _typed(check, draft, port, value, name, output, mode)
-
-
-def _reference(check: _Check, node: str, port: str, value: Value) -> tuple[str, str, Mode] | None:
-    """Node, output ("" if not named) and mode of a written reference."""
-    text = value.data
-    if not isinstance(text, str):
-        check.problem(value.where, f"node '{node}': input '{port}' is {text!r}; write NODE or NODE.OUTPUT")
-        return None
-    reference, at, suffix = text.partition("@")
-    if at and suffix not in ("previous", "time"):
-        hint = suggest(suffix, ["previous", "time"]) or "; it is @previous or @time"
-        check.problem(value.where, f"node '{node}': input '{port}' has the suffix '@{suffix}'{hint}")
-        return None
-    name, _, output = reference.strip().partition(".")
-    if name not in check.source.drafts:
-        if name in check.source.removed and port in check.source.drafts[node].wires:
-            check.notes.append(f"node '{node}': input '{port}' falls away with node '{name}'")
-            return None
-        hint = suggest(name, check.source.drafts) or f"; it has {', '.join(check.source.drafts)}"
-        check.problem(value.where, f"node '{node}': input '{port}': the graph has no node '{name}'{hint}")
-        return None
-    return name, output, suffix or "now"  # type: ignore[return-value]  # one of the three by now
-
-
-def _typed(
-    check: _Check, draft: Draft, port: InPort, value: Value, name: str, output: str, mode: Mode
-) -> Input | None:
     blame = f"node '{draft.name}': input '{port.name}'"
     wrong = _mode_problem(port, mode, name, check.kinds[name])
     if wrong:
         check.problem(value.where, f"{blame} {wrong}")
-    kind = check.kinds[name]
-    fitting = [one for one in kind.outputs if _fits(one.message, port.message)]
-    takes = _message_name(port.message)
-    if output:
-        found = kind.output(output)
-        if found is None:
-            known = [one.name for one in kind.outputs]
-            hint = suggest(output, known) or f"; it has {', '.join(known) or 'none'}"
-            check.problem(value.where, f"{blame}: node '{name}' has no output '{output}'{hint}")
-            return None
-        if found not in fitting:
-            made = found.message.__name__
-            check.problem(value.where, f"{blame} takes {takes}, but '{name}.{output}' gives {made}")
-            return None
-    elif len(fitting) != 1:
-        gives = ", ".join(f"{one.name} ({one.message.__name__})" for one in kind.outputs) or "nothing"
-        which = "several outputs that fit, name one" if fitting else "no output that fits"
-        check.problem(value.where, f"{blame} takes {takes}; node '{name}' has {which}: it gives {gives}")
+    found = _output(check, f"{blame} takes {_message_name(port.message)}", port, value, name, output)
+    if found is None or wrong:
         return None
-    else:
-        found = fitting[0]
     check.places[draft.name, port.name] = value.where
-    return Input(port.name, name, found.name, mode)
+    return Input(port.name, name, found, mode)
+
+
+def _reference(check: _Check, node: str, port: str, value: Value) -> tuple[str, str, Mode] | None:
+    """Node, output ("" if not named) and mode of a written reference."""
+    blame = f"node '{node}': input '{port}'"
+    reference, at, suffix = value.data.partition("@") if isinstance(value.data, str) else ("", "", "")
+    name, dot, output = reference.strip().partition(".")
+    if not name or (dot and not output):
+        check.problem(value.where, f"{blame} is {shown(value)}; write NODE or NODE.OUTPUT")
+        return None
+    if at and suffix not in ("previous", "time"):
+        hint = suggest(suffix, ["previous", "time"]) or "; it is @previous or @time"
+        check.problem(value.where, f"{blame} has the suffix '@{suffix}'{hint}")
+        return None
+    if name not in check.source.drafts:
+        hint = suggest(name, check.source.drafts) or f"; it has {', '.join(check.source.drafts)}"
+        check.problem(value.where, f"{blame}: the graph has no node '{name}'{hint}")
+        return None
+    return name, output, suffix or "now"  # type: ignore[return-value]  # one of the three by now
+
+
+def _output(check: _Check, blame: str, port: InPort, value: Value, name: str, output: str) -> str | None:
+    """The output of node `name` that the wire takes: the one named, or the only one that fits."""
+    outputs = check.kinds[name].outputs
+    fitting = [one.name for one in outputs if _fits(one.message, port.message)]
+    if output in fitting or (not output and len(fitting) == 1):
+        return output or fitting[0]
+    gives = ", ".join(f"{one.name} ({one.message.__name__})" for one in outputs) or "nothing"
+    if not output:
+        which = "several outputs that fit, name one" if fitting else "no output that fits"
+        check.problem(value.where, f"{blame}; node '{name}' has {which}: it gives {gives}")
+    elif (found := check.kinds[name].output(output)) is None:
+        near = suggest(output, [one.name for one in outputs]) or f"; it gives {gives}"
+        check.problem(value.where, f"{blame}; node '{name}' has no output '{output}'{near}")
+    else:
+        fits = f"; '{name}.{fitting[0]}' fits" if fitting else ""
+        check.problem(value.where, f"{blame}, but '{name}.{output}' gives {found.message.__name__}{fits}")
+    return None
 
 
 def _mode_problem(port: InPort, mode: Mode, name: str, giver: Kind) -> str | None:
@@ -204,10 +212,12 @@ def _message_name(message: Any) -> str:
 
 
 def _parameters(check: _Check, draft: Draft, kind: Kind) -> None:
+    if "with" in draft.faulty:
+        return
     known = {one.name for one in kind.parameters}
     given = dict(draft.given)
     for name in [one for one in given if one in draft.inherited and one not in known]:
-        check.notes.append(f"node '{draft.name}': parameter '{name}' falls away; '{kind.name}' has none")
+        check.note(f"node '{draft.name}': parameter '{name}' falls away; '{kind.name}' has none")
         del given[name]
     try:
         result = parameters.check(kind, given, draft.name, draft.where)
@@ -222,7 +232,7 @@ def _on_error(check: _Check, draft: Draft, kind: Kind) -> None:
     if draft.on_error is None:
         return
     if draft.on_error.data not in ("stop", "skip"):
-        what = f"node '{draft.name}': on_error is {draft.on_error.data!r}; it is stop or skip"
+        what = f"node '{draft.name}': on_error is {shown(draft.on_error)}; it is stop or skip"
         check.problem(draft.on_error.where, what)
     elif draft.on_error.data == "skip":
         for reason in _unskippable(kind):
@@ -256,6 +266,7 @@ def _same_file(check: _Check) -> None:
         for value in {**defaults, **check.arguments[name]}.values():
             if not isinstance(value, Path):
                 continue
+            value = Path(os.path.normpath(value))
             if value in seen:
                 what = (
                     f"node '{name}' writes '{value}', and so does node '{seen[value]}'; give one another path"
@@ -271,14 +282,11 @@ def _clock(check: _Check) -> str:
     """The one source whose outputs are taken plainly."""
     plain: dict[str, None] = {}
     streamed: set[str] = set()
-    for name, wires in check.wires.items():
-        for wire in wires:
-            if check.kinds[wire.node].source:
-                plain.update({wire.node: None} if wire.mode != "time" else {})
-                streamed.update({wire.node} if wire.mode == "time" else set())
-        if not check.kinds[name].source and wires and not any(wire.mode == "now" for wire in wires):
-            what = f"node '{name}' has no plain input, so nothing tells it when to fire; wire one without @"
-            check.problem(check.source.drafts[name].where, what)
+    for wire in (wire for wires in check.wires.values() for wire in wires):
+        if check.kinds[wire.node].source and wire.mode == "time":
+            streamed.add(wire.node)
+        elif check.kinds[wire.node].source:
+            plain[wire.node] = None
     clocks = list(plain)
     if len(clocks) > 1:
         first, *others = clocks
@@ -298,26 +306,34 @@ def _order(check: _Check) -> list[str]:
     waits = {
         name: {wire.node for wire in check.wires.get(name, []) if wire.mode == "now"} for name in check.kinds
     }
-    order: list[str] = []
-    while ready := [name for name in waits if name not in order and waits[name] <= set(order)]:
-        order.extend(ready)
-    stuck = {name: needed - set(order) for name, needed in waits.items() if name not in order}
-    cycle = _cycle(stuck)
-    if cycle:
-        way = " -> ".join([*cycle, cycle[0]])
-        place = check.source.drafts[cycle[0]].where
-        check.problem(place, f"a cycle without @previous: {way}; mark one of its wires @previous")
-    return order
+    order: dict[str, None] = {}
+    while ready := [name for name in waits if name not in order and waits[name] <= order.keys()]:
+        order.update(dict.fromkeys(ready))
+    places = list(check.source.drafts)
+    for cycle in _cycles({name: needed for name, needed in waits.items() if name not in order}):
+        first = cycle.index(min(cycle, key=places.index))
+        way = [*cycle[first:], *cycle[:first], cycle[first]]
+        what = f"a cycle without @previous: {' -> '.join(way)}; mark one of its wires @previous"
+        check.problem(check.source.drafts[way[0]].where, what)
+    return list(order)
 
 
-def _cycle(stuck: dict[str, set[str]]) -> list[str]:
-    """One cycle among nodes that wait for each other, in the direction of the data."""
-    name = next((one for one, needed in stuck.items() if needed & set(stuck)), None)
-    way: list[str] = []
-    while name is not None and name not in way:
-        way.append(name)
-        name = next(iter(sorted(stuck[name] & set(stuck))), None)
-    return way[way.index(name) :][::-1] if name is not None else []
+def _cycles(waits: dict[str, set[str]]) -> Iterator[list[str]]:
+    """Cycles without a common node among nodes that wait for each other, in the direction of the data."""
+    while True:
+        while free := [name for name, needed in waits.items() if not needed & waits.keys()]:
+            for name in free:
+                del waits[name]
+        if not waits:
+            return
+        name, way = next(iter(waits)), list[str]()
+        while name not in way:
+            way.append(name)
+            name = min(waits[name] & waits.keys())
+        cycle = way[way.index(name) :][::-1]
+        yield cycle
+        for name in cycle:
+            del waits[name]
 
 
 def _loose_ends(check: _Check) -> None:
@@ -327,11 +343,11 @@ def _loose_ends(check: _Check) -> None:
     if not sinks and check.kinds and len(check.kinds) == len(check.source.drafts):
         check.problem(check.source.where, "the graph has no sink; add one, for example {use: track-csv, ...}")
         return
-    fallen = _reach(list(check.cut), givers)
+    fallen = _reach(list(check.source.cut), givers)
     used = _reach([*sinks, *_uncertain(check)], givers)
     for name in [one for one in check.kinds if one not in used]:
         if name in fallen:
-            check.notes.append(f"node '{name}' falls away; nothing takes its outputs any more")
+            check.note(f"node '{name}' falls away; nothing takes its outputs any more")
             del check.kinds[name], check.wires[name]
         else:
             what = f"node '{name}' is unused: its outputs reach no sink; wire them or remove it"
@@ -340,12 +356,21 @@ def _loose_ends(check: _Check) -> None:
 
 def _uncertain(check: _Check) -> set[str]:
     """Nodes whose use cannot be judged, since a wire from them or their own kind has a problem."""
+    if any(draft.faulty - {"with"} for draft in check.source.drafts.values()):
+        return set(check.source.drafts)
     broken = {name for name in check.source.drafts if name not in check.kinds}
     for draft in check.source.drafts.values():
+        kind = check.kinds.get(draft.name)
         for port, value in draft.wires.items():
-            if (draft.name, port) not in check.places and isinstance(value.data, str):
-                inherited = port in draft.inherited_wires and draft.name in check.kinds
-                broken |= set() if inherited else {value.data.partition("@")[0].partition(".")[0].strip()}
+            fallen = port in draft.inherited_wires and kind is not None and kind.input(port) is None
+            if (draft.name, port) not in check.places and not fallen:
+                broken.add(giver(value))
+    for port in check.unwired:  # any that fits may have been meant
+        broken |= {
+            name
+            for name, kind in check.kinds.items()
+            if any(_fits(output.message, port.message) for output in kind.outputs)
+        }
     return broken
 
 

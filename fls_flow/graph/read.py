@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os.path
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -9,13 +10,15 @@ from pathlib import Path
 import fls_flow
 from fls_flow import document
 from fls_flow.catalog import suggest
-from fls_flow.document import Value
+from fls_flow.document import Value, shown
 from fls_flow.errors import GraphError, Problem, UserError
 
 __all__ = ["Draft", "Source", "find", "override", "read", "shipped"]
 
 GRAPH_KEYS = ("graph", "base", "nodes")
 NODE_KEYS = ("use", "with", "in", "on_error")
+MAX_BASES = 32
+NAME = "letters, digits, - and _, beginning with a letter"
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,8 @@ class Draft:
     # names that came with another kind: kept where the new kind has them, else they fall away
     inherited: frozenset[str] = frozenset()
     inherited_wires: frozenset[str] = frozenset()
+    # what is no mapping, and was reported: the node itself, its `in` or its `with`
+    faulty: frozenset[str] = frozenset()
 
 
 @dataclass
@@ -41,7 +46,8 @@ class Source:
     where: str
     path: Path | None
     drafts: dict[str, Draft] = field(default_factory=dict)
-    removed: set[str] = field(default_factory=set)
+    cut: set[str] = field(default_factory=set)  # nodes that lost a consumer to an override
+    notes: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
 
 
@@ -59,14 +65,16 @@ def find(name: str | Path, beside: Path | None = None) -> Path:
     """
     folder = beside or Path.cwd()
     path = folder / name
-    if path.is_file():
+    if os.path.isfile(path):  # Path.is_file raises for names that are too long
         return path if beside else Path(name)
     words = {str(name), str(name).replace("-", "_"), str(name).replace("_", "-")}
     places = [folder / "graphs", Path.cwd() / "graphs", shipped(), folder]
     for place in places:
         for word in sorted(words):
-            if (place / f"{word}.yaml").is_file():
+            if os.path.isfile(place / f"{word}.yaml"):
                 return place / f"{word}.yaml"
+    if os.path.isdir(path):
+        raise UserError(f"{name}: is a folder; name a graph file in it")
     known = sorted({found.stem for place in places[:3] for found in place.glob("*.yaml")})
     near = suggest(Path(name).stem, known) or f"; known graphs: {', '.join(known) or 'none'}"
     raise UserError(f"{name}: no such graph file{near}")
@@ -87,30 +95,63 @@ def read(path: Path, seen: tuple[Path, ...] = ()) -> Source:
     if base is not None:
         _base(source, base, (*seen, path.resolve()))
     _graph_name(source, root)
-    nodes = root.mapping.get("nodes")
-    if nodes is None and base is None:
-        source.problems.append(root.at("'nodes' is missing; name the nodes of the graph there"))
-    elif nodes is not None and not isinstance(nodes.data, dict):
-        source.problems.append(nodes.at("'nodes' is a mapping of names to nodes"))
-    for name, value in (nodes.mapping if nodes is not None else {}).items():
-        _merge(source, name, value)
+    _nodes(source, root, root.mapping.get("nodes"))
     return source
 
 
-def _base(source: Source, base: Value, seen: tuple[Path, ...]) -> None:
-    if not isinstance(base.data, str):
-        source.problems.append(base.at("'base' is the name of a graph file"))
+def _nodes(source: Source, root: Value, nodes: Value | None) -> None:
+    if nodes is None:
+        if "base" not in root.mapping:
+            source.problems.append(root.at("'nodes' is missing; name the nodes of the graph there"))
         return
+    if not isinstance(nodes.data, dict):
+        source.problems.append(nodes.at("'nodes' is a mapping of names to nodes"))
+    below = dict(source.drafts)
+    gone = {name: value for name, value in nodes.mapping.items() if value.data is None and name in below}
+    for name in gone:
+        source.cut |= set(map(giver, source.drafts.pop(name).wires.values()))
+    for name, value in nodes.mapping.items():
+        if name not in gone:
+            _merge(source, name, value, based="base" in root.mapping)
+    for name in [name for name in source.drafts if name in below] if gone else []:
+        _fall_away(source, below[name], gone)
+
+
+def _fall_away(source: Source, below: Draft, gone: dict[str, Value]) -> None:
+    """Drop the wires that a node has from its base and whose giver is gone."""
+    draft = source.drafts[below.name]
+    kept = dict(draft.wires)
+    for port, value in draft.wires.items():
+        if value is below.wires.get(port) and giver(value) in gone:
+            del kept[port]
+            note = f"node '{draft.name}': input '{port}' falls away with node '{giver(value)}'"
+            source.notes.append(note)
+            draft = replace(draft, where=gone[giver(value)].where, wires=kept)
+    source.drafts[below.name] = draft
+
+
+def giver(wire: Value) -> str:
+    """The node that a written reference takes from; "" if it is none."""
+    return wire.data.partition("@")[0].strip().partition(".")[0] if isinstance(wire.data, str) else ""
+
+
+def _base(source: Source, base: Value, seen: tuple[Path, ...]) -> None:
+    """Begin with the graph that `base` names; without it nothing else can be judged, so problems end here."""
+    if not isinstance(base.data, str):
+        raise GraphError([*source.problems, base.at(f"'base' is {shown(base)}; it names a graph file")])
     try:
         path = find(base.data, base.folder)
     except UserError as error:
-        source.problems.append(base.at(f"base {error}"))
-        return
+        raise GraphError([*source.problems, base.at(f"base {error}")]) from error
     if path.resolve() in seen:
-        source.problems.append(base.at(f"'{base.data}' is its own base"))
-        return
-    below = read(path, seen)
-    source.drafts, source.removed, source.name = below.drafts, below.removed, below.name
+        raise GraphError([*source.problems, base.at(f"'{base.data}' is its own base")])
+    if len(seen) > MAX_BASES:
+        raise GraphError([*source.problems, base.at(f"more than {MAX_BASES} bases, one over the other")])
+    try:
+        below = read(path, seen)
+    except GraphError as error:
+        raise GraphError([*source.problems, *error.problems]) from error
+    source.drafts, source.cut, source.notes, source.name = below.drafts, below.cut, below.notes, below.name
     source.problems.extend(below.problems)
 
 
@@ -120,7 +161,7 @@ def _graph_name(source: Source, root: Value) -> None:
         if "base" not in root.mapping:
             source.problems.append(root.at(f"'graph' is missing; name it, for example graph: {source.name}"))
     elif not (isinstance(name.data, str) and is_name(name.data)):
-        source.problems.append(name.at(f"graph is {name.data!r}; its name is of letters, digits, - and _"))
+        source.problems.append(name.at(f"graph is {shown(name)}; its name is of {NAME}"))
     else:
         source.name = name.data
 
@@ -137,29 +178,36 @@ def _unknown_keys(value: Value, known: Iterable[str], of: str, problems: list[Pr
             problems.append(child.at(f"{of} has no key '{key}'{hint}"))
 
 
-def _merge(source: Source, name: str, value: Value) -> None:
-    if value.data is None and name in source.drafts:
-        del source.drafts[name]
-        source.removed.add(name)
-        return
+def _merge(source: Source, name: str, value: Value, *, based: bool) -> None:
     if not isinstance(value.data, dict):
-        source.problems.append(value.at(f"node '{name}' is a mapping, for example {{use: KIND}}"))
+        hint = value.data if isinstance(value.data, str) else "KIND"
+        what = f"node '{name}' is {shown(value)}; it is a mapping, for example {{use: {hint}}}"
+        if value.data is None and based:
+            near = suggest(name, source.drafts)
+            what = f"the base has no node '{name}' to remove{near}"
+        source.problems.append(value.at(what))
+        source.drafts[name] = Draft(name, value.where, faulty=frozenset(["node"]))
         return
     if not is_name(name):
-        source.problems.append(value.at(f"node name {name!r}: use letters, digits, - and _"))
+        source.problems.append(value.at(f"node name '{name}': it is of {NAME}"))
     _unknown_keys(value, NODE_KEYS, f"node '{name}'", source.problems)
-    below = source.drafts.get(name)
-    source.removed.discard(name)
-    draft = Draft(name, value.where) if below is None else _swapped(below, value.mapping.get("use"))
-    wires = _mapping(source, value, "in", name)
+    below = source.drafts.get(name, Draft(name, value.where))
+    draft = _swapped(below, value.mapping.get("use"))
+    faulty = frozenset(key for key in ("in", "with") if not _is_mapping(source, value, key, name))
+    wires, given = (_mapping(value, key) for key in ("in", "with"))
+    source.cut |= {giver(below.wires[port]) for port in wires if port in below.wires}
     source.drafts[name] = replace(
         draft,
-        given={**draft.given, **_mapping(source, value, "with", name)},
-        wires={k: v for k, v in {**draft.wires, **wires}.items() if v.data is not None},
+        given={**draft.given, **given},
+        # null unwires what the base wires
+        wires={
+            k: v for k, v in {**draft.wires, **wires}.items() if v.data is not None or k not in below.wires
+        },
         on_error=value.mapping.get("on_error", draft.on_error),
         use=value.mapping.get("use", draft.use),
-        inherited=draft.inherited - set(_mapping(source, value, "with", name)),
+        inherited=draft.inherited - set(given),
         inherited_wires=draft.inherited_wires - set(wires),
+        faulty=draft.faulty | faulty,
     )
 
 
@@ -167,18 +215,22 @@ def _swapped(draft: Draft, use: Value | None) -> Draft:
     """The draft for another kind: what it holds so far is inherited."""
     if use is None or (draft.use is not None and use.data == draft.use.data):
         return draft
-    return replace(draft, use=use, inherited=frozenset(draft.given), inherited_wires=frozenset(draft.wires))
+    inherited, wires = frozenset(draft.given), frozenset(draft.wires)
+    where = draft.where if draft.use is None else use.where
+    return replace(draft, use=use, where=where, inherited=inherited, inherited_wires=wires)
 
 
-def _mapping(source: Source, value: Value, key: str, name: str) -> dict[str, Value]:
+def _is_mapping(source: Source, value: Value, key: str, name: str) -> bool:
     child = value.mapping.get(key)
-    if child is None or child.data is None:
-        return {}
-    if not isinstance(child.data, dict):
-        what = f"node '{name}': '{key}' is a mapping of names to values"
-        if child.at(what) not in source.problems:
-            source.problems.append(child.at(what))
-    return child.mapping
+    if child is None or child.data is None or isinstance(child.data, dict):
+        return True
+    source.problems.append(child.at(f"node '{name}': '{key}' is {shown(child)}; it maps names to values"))
+    return False
+
+
+def _mapping(value: Value, key: str) -> dict[str, Value]:
+    child = value.mapping.get(key)
+    return {} if child is None else child.mapping
 
 
 def override(source: Source, use: Iterable[str] = (), set_: Iterable[str] = ()) -> None:

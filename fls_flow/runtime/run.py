@@ -269,17 +269,18 @@ class Run:
 
     def _close(self) -> None:
         for host in self._hosts:
-            close = getattr(host.instance, "close", None)
-            if close is None:
+            if host.node.name in self._stuck:
+                log.error("node '%s' did not end in time; its files may lack the last pings", host.node.name)
                 continue
             try:
-                close()
+                getattr(host.instance, "close", _nothing)()
             except Exception as error:
-                failure = NodeError(
-                    host.node.name, None, None, f"while closing: {type(error).__name__}: {error}"
-                )
+                cause = f"while closing: {type(error).__name__}: {error}"
+                failure = NodeError(host.node.name, None, None, cause)
                 log.error("%s", failure, exc_info=error)
                 self._error = self._error or failure
+            if not isinstance(host, NodeHost):
+                host.join(1.0)
 
 
 def _nothing() -> None:
