@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, PydanticUserError, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, Field, PydanticUserError, ValidationError, create_model
 
 from fls_flow.catalog import Kind, Parameter, suggest
 from fls_flow.document import Value, plain, shown
@@ -69,10 +69,9 @@ def _model(kind: Kind) -> type[BaseModel]:
     fields: dict[str, Any] = {}
     for parameter in kind.parameters:
         default = ... if parameter.required else None
-        fields[_alias(parameter.name)] = (parameter.annotation, default)
-    config = ConfigDict(**STRICT, alias_generator=_field, populate_by_name=False)
+        fields[_alias(parameter.name)] = (parameter.annotation, Field(default, alias=parameter.name))
     try:
-        return create_model(f"{kind.cls.__name__}Parameters", __config__=config, **fields)
+        return create_model(f"{kind.cls.__name__}Parameters", __config__=STRICT, **fields)
     except (PydanticUserError, TypeError, NameError) as error:
         reason = str(error).splitlines()[0]
         raise PluginError(
@@ -91,7 +90,7 @@ def _field(alias: str) -> str:
 
 def _causes(error: ValidationError) -> list[dict[str, Any]]:
     """The errors, without a missing name that is there with another spelling."""
-    errors = [dict(one) for one in error.errors(include_url=False)]
+    errors: list[dict[str, Any]] = [dict(one) for one in error.errors(include_url=False)]
     unknown = [one["loc"] for one in errors if one["type"] in UNKNOWN]
     return [
         one

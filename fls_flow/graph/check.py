@@ -29,7 +29,7 @@ class _Check:
     kinds: dict[str, Kind] = field(default_factory=dict)
     wires: dict[str, list[Input]] = field(default_factory=dict)
     arguments: dict[str, dict[str, Any]] = field(default_factory=dict)
-    unwired: list[InPort] = field(default_factory=list)
+    unwired: list[InPort] = field(default_factory=list)  # whose giver is unknown
     places: dict[tuple[str, str], str] = field(default_factory=dict)  # (node, port) -> where its wire stands
 
     def problem(self, where: str, what: str) -> None:
@@ -103,6 +103,10 @@ def _wires(check: _Check, draft: Draft, kind: Kind) -> None:
     tried = [_wire(check, draft, kind, port, value) for port, value in written.items()]
     wires = [wire for wire in tried if wire is not None]
     check.wires[draft.name] = wires
+    failed = [port for port, wire in zip(written, tried, strict=True) if wire is None]
+    check.unwired += [
+        port for name in failed if (port := kind.input(name)) and not _meant(check, draft, port)
+    ]
     if "in" in draft.faulty:
         return
     misnamed = [port for port in written if kind.input(port) is None]
@@ -116,6 +120,15 @@ def _wires(check: _Check, draft: Draft, kind: Kind) -> None:
     if certain and not kind.source and not any(wire.mode == "now" for wire in wires):
         what = f"node '{draft.name}' has no plain input, so nothing tells it when to fire; wire one without @"
         check.problem(draft.where, what)
+
+
+def _meant(check: _Check, draft: Draft, port: InPort) -> bool:
+    """Whether a wire with a mistake names a node that may be the right one."""
+    name = giver(draft.wires[port.name])
+    kind = check.kinds.get(name)
+    outputs = kind.outputs if kind is not None else ()
+    unknown = name in check.source.drafts and kind is None
+    return unknown or any(_fits(one.message, port.message) for one in outputs)
 
 
 def _fallen(check: _Check, draft: Draft, kind: Kind, port: str) -> bool:
@@ -365,12 +378,10 @@ def _uncertain(check: _Check) -> set[str]:
             fallen = port in draft.inherited_wires and kind is not None and kind.input(port) is None
             if (draft.name, port) not in check.places and not fallen:
                 broken.add(giver(value))
-    for port in check.unwired:  # any that fits may have been meant
-        broken |= {
-            name
-            for name, kind in check.kinds.items()
-            if any(_fits(output.message, port.message) for output in kind.outputs)
-        }
+    meant = [port.message for port in check.unwired]  # any giver that fits
+    for name, kind in check.kinds.items():
+        if any(_fits(output.message, message) for output in kind.outputs for message in meant):
+            broken.add(name)
     return broken
 
 

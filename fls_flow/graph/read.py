@@ -73,7 +73,7 @@ def find(name: str | Path, beside: Path | None = None) -> Path:
         for word in sorted(words):
             if os.path.isfile(place / f"{word}.yaml"):
                 return place / f"{word}.yaml"
-    if os.path.isdir(path):
+    if str(name) and os.path.isdir(path):
         raise UserError(f"{name}: is a folder; name a graph file in it")
     known = sorted({found.stem for place in places[:3] for found in place.glob("*.yaml")})
     near = suggest(Path(name).stem, known) or f"; known graphs: {', '.join(known) or 'none'}"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ import numpy as np
 from fls_flow import wire
 from fls_flow.catalog import Catalog, Kind, describe
 from fls_flow.messages import Message
+from fls_flow.parameters import resolve
 from fls_flow.runtime.answer import named, same_ping
 from fls_flow.testing.samples import sample_firings
 
@@ -23,20 +26,24 @@ def check_node(node: Any, firings: Sequence[Mapping[str, Any]] | None = None) ->
     `node` is an instance, a class whose parameters all have defaults, or the name of an installed kind.
     `firings` are its inputs ping by ping, as keyword arguments; by default small made-up ones, empty messages
     among them. Checked: every ping is answered with the promised types, seq and stamp; inputs are not
-    written; answers do not change later, nor when the memory of the inputs is reused (they are overwritten
-    after each firing); a second instance gives the same bits; `snapshot()` and `restore()` carry on with the
-    same bits. A source is checked on its first pings.
+    written; a second instance gives the same bits; neither answers nor state follow the memory of the inputs,
+    which is overwritten after each firing, as a shared slot is reused; `snapshot()` and `restore()` carry on
+    with the same bits. A source is checked on its first pings; a sink writes into a folder that is removed.
     """
     instance, kind = _instance(node)
-    if kind.source:
-        _check_source(instance, kind)
-        return
-    firings = sample_firings(kind) if firings is None else firings
-    first = _fired(_fresh(instance), kind, firings)
-    second = _fired(_fresh(instance), kind, firings)
-    _same(first, second, "a second instance gives other bits: seed what is random, keep no state outside")
-    if kind.restorable:
-        _check_restore(instance, kind, firings, first)
+    with TemporaryDirectory() as folder:
+        fresh = _Fresh(instance, Path(folder))
+        if kind.source:
+            _check_source(fresh, kind)
+            return
+        firings = sample_firings(kind) if firings is None else firings
+        first = _fired(fresh(), kind, firings)
+        second = _fired(fresh(), kind, firings)
+        _same(first, second, "a second instance gives other bits: seed what is random, keep no state outside")
+        third = _fired(fresh(), kind, firings, overwrite=True)
+        _same(first, third, "the bits differ when memory is reused: its state shares memory with an input")
+        if kind.restorable and kind.outputs:
+            _check_restore(fresh, kind, firings, first)
 
 
 def _instance(node: Any) -> tuple[Any, Kind]:
@@ -50,16 +57,28 @@ def _instance(node: Any) -> tuple[Any, Kind]:
     return node, describe(type(node))
 
 
-def _fresh(instance: Any) -> Any:
-    parameters = {one.name: getattr(instance, one.name) for one in dataclasses.fields(instance) if one.init}
-    return type(instance)(**parameters)
+class _Fresh:
+    """Makes instances with the same parameters; relative paths lie in a folder that each has for itself."""
+
+    def __init__(self, instance: Any, folder: Path) -> None:
+        self._type, self._folder, self._made = type(instance), folder, 0
+        names = [one.name for one in dataclasses.fields(instance) if one.init]
+        self._parameters = {name: getattr(instance, name) for name in names}
+
+    def __call__(self) -> Any:
+        self._made += 1
+        folder = self._folder / str(self._made)
+        folder.mkdir()
+        return self._type(**resolve(self._parameters, folder))
 
 
 Record = list[dict[str, bytes]]
 
 
-def _fired(instance: Any, kind: Kind, firings: Sequence[Mapping[str, Any]]) -> Record:
-    """The encoded answers; inputs live in memory that is overwritten after each firing."""
+def _fired(
+    instance: Any, kind: Kind, firings: Sequence[Mapping[str, Any]], *, overwrite: bool = False
+) -> Record:
+    """The encoded answers; with `overwrite`, the memory of the inputs is overwritten after each firing."""
     record: Record = []
     kept: list[dict[str, Message]] = []
     try:
@@ -71,7 +90,8 @@ def _fired(instance: Any, kind: Kind, firings: Sequence[Mapping[str, Any]]) -> R
             record.append({port: wire.encode(message) for port, message in outputs.items()})
             for port, lent in copies.items():
                 assert lent.unchanged(), f"the node writes into its input '{port}'; copy it first"
-                lent.overwrite()
+                if overwrite:
+                    lent.overwrite()
             later = [{port: wire.encode(message) for port, message in outputs.items()} for outputs in kept]
             why = "an answer changed after it was given: it shares memory with an input or with the node"
             _same(record, later, f"{why}; copy what you return")
@@ -118,7 +138,7 @@ class _Lent:
     def overwrite(self) -> None:
         """Fill the memory with another pattern."""
         for buffer in self._buffers:
-            buffer[:] = b"\xa5" * len(buffer)
+            buffer[:] = b"\x7f" * len(buffer)  # as floats: huge, so that no sum or maximum misses it
 
 
 def _same(first: Record, second: Record, why: str) -> None:
@@ -127,27 +147,25 @@ def _same(first: Record, second: Record, why: str) -> None:
             assert one[port] == other[port], f"firing {number}, output '{port}': {why}"
 
 
-def _check_restore(instance: Any, kind: Kind, firings: Sequence[Mapping[str, Any]], whole: Record) -> None:
+def _check_restore(fresh: _Fresh, kind: Kind, firings: Sequence[Mapping[str, Any]], whole: Record) -> None:
     half = len(firings) // 2
-    before, after = _fresh(instance), _fresh(instance)
+    before, after = fresh(), fresh()
     for inputs in firings[:half]:
         before(**inputs)
     state = before.snapshot()
     assert isinstance(state, dict), f"snapshot() gives {type(state).__name__}; it gives a dict"
     for inputs in firings[half:]:
         before(**inputs)  # a snapshot must not follow the node that it was taken from
-    if not kind.outputs:
-        return
     after.restore(state)
     carried = _fired(after, kind, firings[half:])
     _same(carried, whole[half:], "after snapshot() and restore() the bits differ: some state is missing")
 
 
-def _check_source(instance: Any, kind: Kind, pings: int = 5) -> None:
+def _check_source(fresh: _Fresh, kind: Kind, pings: int = 5) -> None:
     runs: list[Record] = []
     for _ in range(2):
         record: Record = []
-        iterator = iter(_fresh(instance)())
+        iterator = iter(fresh()())
         for _, produced in zip(range(pings), iterator, strict=False):
             outputs = named(kind, produced)
             first = next(iter(outputs.values()))
