@@ -186,9 +186,7 @@ def _hooked(entry: importlib.metadata.EntryPoint, listing: Listing) -> type:
         found = manager.hook.fls_node()
     except pluggy.PluginValidationError as error:
         reason = " ".join(str(error).split())
-        raise PluginError(
-            f"{blame} has a hook that does not exist: {reason}; the hook is fls_node()"
-        ) from error
+        raise PluginError(f"{blame} has a wrong hook: {reason}; the hook is fls_node()") from error
     except Exception as error:
         raise PluginError(f"{blame}: fls_node() raised {_cause(error)}; mend or uninstall it") from error
     if len(found) != 1 or not isinstance(found[0], type):

@@ -235,11 +235,9 @@ def check(graphs: tuple[str, ...], as_json: bool, **options: Any) -> int:
     for name in graphs:
         try:
             checked = _load(name, options)
-        except GraphError as error:
+        except UserError as error:
             failed = error.exit_code
-            results.append(
-                {"graph": name, "ok": False, "problems": [_document(one) for one in error.problems]}
-            )
+            results.append({"graph": name, "ok": False, "problems": _documents(name, error)})
             if not as_json:
                 _show(error, debug=False)
         else:
@@ -252,8 +250,11 @@ def check(graphs: tuple[str, ...], as_json: bool, **options: Any) -> int:
     return failed
 
 
-def _document(problem: Problem) -> dict[str, str]:
-    return {"where": problem.where, "what": problem.what}
+def _documents(name: str, error: UserError) -> list[dict[str, str]]:
+    problems = [Problem(name, str(error).removeprefix(f"{name}: "))]
+    if isinstance(error, GraphError):
+        problems = list(error.problems)
+    return [{"where": problem.where, "what": problem.what} for problem in problems]
 
 
 @cli.command()

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import IntEnum
+from functools import cache
 from typing import Any, Literal, Protocol, Self
 
 import numpy as np
@@ -91,13 +92,16 @@ class Sealed:
 
     def __post_init__(self) -> None:
         lengths: dict[str, tuple[int, str]] = {}
-        for spec in fields(self):  # type: ignore[arg-type]  # subclasses are dataclasses
-            shape = spec.metadata.get("shape")
-            value = getattr(self, spec.name)
-            if shape is None or value is None:
-                continue
-            sealed = _sealed(type(self).__name__, spec.name, value, shape, lengths)
-            object.__setattr__(self, spec.name, sealed)
+        for name, shape in _shapes(type(self)):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, _sealed(type(self).__name__, name, value, shape, lengths))
+
+
+@cache
+def _shapes(cls: Any) -> tuple[tuple[str, _Shape], ...]:
+    """The array fields of a message class."""
+    return tuple((one.name, one.metadata["shape"]) for one in fields(cls) if "shape" in one.metadata)
 
 
 def _sealed(

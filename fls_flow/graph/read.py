@@ -76,7 +76,8 @@ def find(name: str | Path, beside: Path | None = None) -> Path:
     if str(name) and os.path.isdir(path):
         raise UserError(f"{name}: is a folder; name a graph file in it")
     known = sorted({found.stem for place in places[:3] for found in place.glob("*.yaml")})
-    near = suggest(Path(name).stem, known) or f"; known graphs: {', '.join(known) or 'none'}"
+    beside_it = [found.stem for found in folder.glob("*.yaml")]
+    near = suggest(Path(name).stem, [*known, *beside_it]) or f"; known graphs: {', '.join(known) or 'none'}"
     raise UserError(f"{name}: no such graph file{near}")
 
 

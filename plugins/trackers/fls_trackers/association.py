@@ -1,0 +1,204 @@
+"""Joint probabilistic data association: how probable each gated measurement is for each track.
+
+Tracks that share gated measurements form a cluster; clusters are independent. A cluster is summed over all
+its joint events by a forward and a backward pass over its tracks. The state between two tracks is the set of
+measurements that are taken, and only those need a bit that a track before and a track after both gate: the
+cost is 2^(measurements shared at one time), not the number of events. A wider cluster falls back to loopy
+belief propagation, so that the time per scan is bounded.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fls_trackers.belief import propagate
+from fls_trackers.compiled import compiled
+from fls_trackers.events import all_events, plan
+from fls_trackers.gating import Gated
+
+__all__ = ["Association", "associate"]
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+MAX_STEPS = 20_000_000  # of the sums over events, per scan: some 50 ms
+MAX_MESSAGES = 20_000_000  # of belief propagation, per scan: some 200 ms
+
+
+class Association(NamedTuple):
+    """Probabilities of `Gated` pairs, and what is left over."""
+
+    beta: FloatArray  # (pairs,) that the measurement is the track's
+    beta_none: FloatArray  # (n,) that none is; over a track, both sum to 1
+    taken: FloatArray  # (m,) that the measurement is some track's
+    claimed: BoolArray  # (m,) whether it lies in the gate of a track of rank 0
+    in_gate: BoolArray  # (n,) whether the track has a measurement
+    approximate: int  # clusters that fell back to belief propagation
+
+
+def associate(
+    gated: Gated,
+    density: FloatArray,
+    rank: IntArray,
+    *,
+    p_d: float,
+    p_g: float,
+    max_shared: int = 12,
+) -> Association:
+    """The probabilities of all pairs, exact unless a cluster shares over `max_shared` measurements at a time.
+
+    A joint event gives each track at most one of its measurements and each measurement to at most one track;
+    its weight is prod_(t has j) p_d N(y_j; H x_t, S_t) / density_j * prod_(t has none) (1 - p_d p_g).
+    `density` (m,) is that of false measurements, per m^2. Tracks of rank 0 come first; those of rank 1 get
+    only the measurements that are more likely not taken (sum of beta at most 1/2), and so on.
+
+    Source: Karoui 2015 (20)-(22), (22) with (1 - p_d p_g) for a miss.
+    """
+    ratio = p_d / (1.0 - p_d * p_g) * gated.likelihood / density[gated.places]
+    return Association(*_associate(gated.start, gated.places, ratio, rank, density.size, max_shared))
+
+
+@compiled
+def _associate(
+    start: IntArray, places: IntArray, ratio: FloatArray, rank: IntArray, m: int, max_shared: int
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray, int]:
+    n = rank.size
+    beta, beta_none, taken = np.zeros(places.size), np.ones(n), np.zeros(m)
+    claimed, in_gate, live = np.zeros(m, np.bool_), np.zeros(n, np.bool_), np.zeros(places.size, np.bool_)
+    budget = np.array([MAX_STEPS, MAX_MESSAGES])
+    work = np.full(m, -1)
+    approximate = 0
+    for level in range(rank.max() + 1 if n else 0):
+        for t in range(n):
+            for e in range(start[t], start[t + 1] if rank[t] == level else 0):
+                live[e] = taken[places[e]] <= 0.5
+                in_gate[t] |= live[e]
+                claimed[places[e]] |= level == 0
+        tracks, first = _clusters(start, places, live, in_gate & (rank == level), m)
+        for c in range(first.size - 1):
+            members = tracks[first[c] : first[c + 1]]
+            approximate += _cluster(
+                members, start, places, ratio, live, work, max_shared, budget, beta, beta_none
+            )
+        for t in range(n):
+            for e in range(start[t], start[t + 1] if rank[t] == level else 0):
+                taken[places[e]] += beta[e]
+    return beta, beta_none, taken, claimed, in_gate, approximate
+
+
+@compiled
+def _clusters(
+    start: IntArray, places: IntArray, live: BoolArray, chosen: BoolArray, m: int
+) -> tuple[IntArray, IntArray]:
+    """The chosen tracks, cluster by cluster, and where each cluster begins."""
+    n = chosen.size
+    parent, owner = np.arange(n), np.full(m, -1)
+    for t in range(n):
+        for e in range(start[t], start[t + 1] if chosen[t] else 0):
+            if live[e] and owner[places[e]] < 0:
+                owner[places[e]] = t
+            elif live[e]:
+                a, b = _root(parent, owner[places[e]]), _root(parent, t)
+                parent[max(a, b)] = min(a, b)
+    number, place = np.full(n, -1), np.zeros(n + 1, np.int64)
+    k = 0
+    for t in range(n):
+        if not chosen[t]:
+            continue
+        root = _root(parent, t)
+        if number[root] < 0:
+            number[root] = k
+            k += 1
+        number[t] = number[root]
+        place[number[t] + 1] += 1
+    first = np.cumsum(place[: k + 1])
+    place[: k + 1] = first
+    tracks = np.empty(first[k], np.int64)
+    for t in range(n):
+        if chosen[t]:
+            tracks[place[number[t]]] = t
+            place[number[t]] += 1
+    return tracks, first
+
+
+@compiled
+def _root(parent: IntArray, t: int) -> int:
+    while parent[t] != t:
+        parent[t] = parent[parent[t]]
+        t = parent[t]
+    return t
+
+
+@compiled
+def _cluster(
+    members: IntArray,
+    start: IntArray,
+    places: IntArray,
+    ratio: FloatArray,
+    live: BoolArray,
+    work: IntArray,
+    max_shared: int,
+    budget: IntArray,
+    beta: FloatArray,
+    beta_none: FloatArray,
+) -> bool:
+    """Fills beta and beta_none of one cluster's tracks; gives whether they are approximate.
+
+    `work` (m,) is all -1, and so again afterwards.
+    """
+    if members.size == 1:
+        _one_track(members[0], start, ratio, live, beta, beta_none)
+        return False
+    first, pairs, detection, m = _local(members, start, places, live, work)
+    order, bit, ends, width = plan(first, detection, m, max_shared)
+    steps = (pairs.size + members.size) << min(width, 32)
+    exact = width <= max_shared and steps <= budget[0]
+    if exact:
+        budget[0] -= steps
+        b, none = all_events(order, first, bit, ends, ratio[pairs], width)
+    else:
+        b, none = propagate(first, detection, ratio[pairs], m, budget[1:])
+    beta[pairs] = b
+    beta_none[members] = none
+    return not exact
+
+
+@compiled
+def _one_track(
+    t: int, start: IntArray, ratio: FloatArray, live: BoolArray, beta: FloatArray, beta_none: FloatArray
+) -> None:
+    total = 1.0
+    for e in range(start[t], start[t + 1]):
+        total += ratio[e] if live[e] else 0.0
+    beta_none[t] = 1.0 / total
+    for e in range(start[t], start[t + 1]):
+        beta[e] = ratio[e] / total if live[e] else 0.0
+
+
+@compiled
+def _local(
+    members: IntArray, start: IntArray, places: IntArray, live: BoolArray, work: IntArray
+) -> tuple[IntArray, IntArray, IntArray, int]:
+    """The cluster's live pairs: first (n + 1,) of each track, their places, their detections from 0 on."""
+    n = members.size
+    first, room = np.zeros(n + 1, np.int64), 0
+    for i in range(n):
+        room += start[members[i] + 1] - start[members[i]]
+    pairs, detection = np.empty(room, np.int64), np.empty(room, np.int64)
+    k = m = 0
+    for i in range(n):
+        for e in range(start[members[i]], start[members[i] + 1]):
+            if live[e]:
+                if work[places[e]] < 0:
+                    work[places[e]] = m
+                    m += 1
+                pairs[k], detection[k] = e, work[places[e]]
+                k += 1
+        first[i + 1] = k
+    for e in pairs[:k]:
+        work[places[e]] = -1
+    return first, pairs[:k].copy(), detection[:k].copy(), m

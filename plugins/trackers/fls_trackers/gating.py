@@ -1,0 +1,74 @@
+"""Which measurements lie in which track's gate, as rows of (track, measurement) pairs."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fls_trackers.compiled import compiled
+
+__all__ = ["Gated", "gate"]
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+class Gated(NamedTuple):
+    """Pairs of a track and a measurement in its gate: track t owns the places start[t] to start[t + 1]."""
+
+    start: IntArray  # (n + 1,)
+    places: IntArray  # (pairs,) measurement, increasing within a track
+    likelihood: FloatArray  # (pairs,) N(y; H x, S), per m^2
+
+
+def gate(state: FloatArray, covariance: FloatArray, R: FloatArray, y: FloatArray, gamma: float) -> Gated:
+    """The pairs with nu^T S^-1 nu <= gamma, S = H P H^T + R (n, 2, 2), and their likelihoods.
+
+    Source: Karoui 2015, section IV-B.
+    """
+    return Gated(*_gate(state, covariance, R, y, gamma))
+
+
+@compiled
+def _gate(
+    state: FloatArray, covariance: FloatArray, R: FloatArray, y: FloatArray, gamma: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    n, m = state.shape[0], y.shape[0]
+    start = np.zeros(n + 1, np.int64)
+    room = 4 * n + m
+    index, likelihood = np.empty(room, np.int64), np.empty(room)
+    k = 0
+    for t in range(n):
+        s11 = covariance[t, 0, 0] + R[t, 0, 0]
+        s12 = covariance[t, 0, 1] + R[t, 0, 1]
+        s22 = covariance[t, 1, 1] + R[t, 1, 1]
+        det = s11 * s22 - s12 * s12
+        peak = 1.0 / (2.0 * math.pi * math.sqrt(det))
+        reach = math.sqrt(gamma * s11) * (1.0 + 1e-9)  # the ellipse's half extent along x
+        px, py = state[t, 0], state[t, 1]
+        if k + m > room:
+            room = 2 * (k + m)
+            index, likelihood = _longer(index, likelihood, k, room)
+        for j in range(m):
+            e1 = y[j, 0] - px
+            if abs(e1) > reach:
+                continue
+            e2 = y[j, 1] - py
+            d2 = (e1 * (s22 * e1 - s12 * e2) + e2 * (s11 * e2 - s12 * e1)) / det
+            if d2 <= gamma:
+                index[k] = j
+                likelihood[k] = peak * math.exp(-0.5 * d2)
+                k += 1
+        start[t + 1] = k
+    return start, index[:k].copy(), likelihood[:k].copy()
+
+
+@compiled
+def _longer(index: IntArray, likelihood: FloatArray, k: int, room: int) -> tuple[IntArray, FloatArray]:
+    longer_index, longer_likelihood = np.empty(room, np.int64), np.empty(room)
+    longer_index[:k] = index[:k]
+    longer_likelihood[:k] = likelihood[:k]
+    return longer_index, longer_likelihood

@@ -1,0 +1,163 @@
+"""JPDA probabilities beside brute-force enumeration, and what lies beyond it."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from fls_trackers.association import Association, associate
+from fls_trackers.gating import Gated
+from numpy.testing import assert_allclose
+
+P_D, P_G = 0.9, 0.98
+MISS = 1.0 - P_D * P_G
+FloatArray = npt.NDArray[np.float64]
+
+
+def gated(likelihood: FloatArray) -> Gated:
+    """All pairs with a likelihood above zero."""
+    inside = likelihood > 0.0
+    start = np.concatenate([[0], np.cumsum(inside.sum(axis=1))]).astype(np.int64)
+    return Gated(start, np.nonzero(inside)[1].astype(np.int64), likelihood[inside])
+
+
+def table(found: Association, likelihood: FloatArray) -> FloatArray:
+    """(n, 1 + m) with the probability of no measurement in column 0."""
+    beta = np.zeros((likelihood.shape[0], likelihood.shape[1] + 1))
+    beta[:, 0] = found.beta_none
+    beta[:, 1:][likelihood > 0.0] = found.beta
+    return beta
+
+
+def ours(
+    likelihood: FloatArray, density: FloatArray, rank: npt.ArrayLike | None = None, max_shared: int = 12
+) -> tuple[FloatArray, Association]:
+    ranks = np.zeros(likelihood.shape[0], np.int64) if rank is None else np.asarray(rank, np.int64)
+    found = associate(gated(likelihood), density, ranks, p_d=P_D, p_g=P_G, max_shared=max_shared)
+    return table(found, likelihood), found
+
+
+def enumerated(likelihood: FloatArray, density: FloatArray) -> FloatArray:
+    """The same table, event by event as Karoui 2015 (20)-(22) define it."""
+    n, m = likelihood.shape
+    beta, total = np.zeros((n, m + 1)), 0.0
+    choices = [[-1, *np.flatnonzero(row > 0.0)] for row in likelihood]
+    for event in itertools.product(*choices):
+        taken = [j for j in event if j >= 0]
+        if len(set(taken)) < len(taken):
+            continue
+        weight = 1.0
+        for t, j in enumerate(event):
+            weight *= MISS if j < 0 else P_D * likelihood[t, j] / density[j]
+        total += weight
+        for t, j in enumerate(event):
+            beta[t, j + 1] += weight
+    return beta / total
+
+
+@pytest.mark.parametrize("seed", range(300))
+def test_betas_equal_enumeration(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, m = rng.integers(1, 5), rng.integers(0, 6)
+    likelihood = 10.0 ** rng.uniform(-4, 2, (n, m)) * (rng.random((n, m)) < rng.choice([0.3, 0.6, 1.0]))
+    density = 10.0 ** rng.uniform(-6, -1, m)
+    beta, found = ours(likelihood, density)
+    assert found.approximate == 0
+    assert_allclose(beta, enumerated(likelihood, density), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("fill", [0.0, 1.0])
+def test_ties_and_empty_gates(fill: float) -> None:
+    likelihood, density = np.full((4, 5), fill), np.full(5, 1e-3)
+    beta, _ = ours(likelihood, density)
+    assert_allclose(beta, enumerated(likelihood, density), rtol=0, atol=1e-12)
+
+
+def test_many_tracks_in_a_row_stay_exact() -> None:
+    # 14 tracks, each sharing two measurements with the next: 28 shared in all, but few at a time.
+    rng = np.random.default_rng(5)
+    n = 8
+    likelihood = np.zeros((n, 2 * n + 2))
+    for t in range(n):
+        likelihood[t, 2 * t : 2 * t + 4] = rng.uniform(0.1, 2.0, 4)
+    shuffled = likelihood[rng.permutation(n)][:, rng.permutation(2 * n + 2)]
+    density = np.full(2 * n + 2, 0.3)
+    beta, found = ours(shuffled, density, max_shared=4)
+    assert found.approximate == 0
+    assert_allclose(beta, enumerated(shuffled, density), rtol=0, atol=1e-12)
+
+
+def test_betas_sum_to_one_and_no_measurement_is_taken_twice() -> None:
+    rng = np.random.default_rng(6)
+    likelihood = rng.uniform(0.0, 5.0, (9, 9)) * (rng.random((9, 9)) < 0.7)
+    for max_shared in (2, 12):
+        beta, found = ours(likelihood, np.full(9, 1e-4), max_shared=max_shared)
+        assert_allclose(beta.sum(axis=1), 1.0, rtol=1e-12)
+        assert (beta >= 0.0).all()
+        assert_allclose(found.taken, beta[:, 1:].sum(axis=0), atol=1e-12)
+        # Belief propagation keeps a measurement's total only roughly below 1.
+        assert (found.taken <= 1.0 + (1e-12 if max_shared == 12 else 0.1)).all()
+
+
+def test_permuted_measurements_give_permuted_betas() -> None:
+    rng = np.random.default_rng(7)
+    likelihood, density = rng.uniform(0.1, 2.0, (4, 6)), rng.uniform(0.01, 0.1, 6)
+    order, tracks = rng.permutation(6), rng.permutation(4)
+    beta, _ = ours(likelihood, density)
+    permuted, _ = ours(likelihood[np.ix_(tracks, order)], density[order])
+    assert_allclose(permuted[:, 1:], beta[np.ix_(tracks, order + 1)], rtol=1e-12)
+
+
+def test_one_track_one_measurement_is_worked_by_hand() -> None:
+    beta, _ = ours(np.array([[0.2]]), np.array([0.05]))
+    ratio = 0.9 * 0.2 / 0.05  # 3.6
+    assert_allclose(beta, [[0.118 / (0.118 + ratio), ratio / (0.118 + ratio)]])
+
+
+def test_a_wide_cluster_falls_back_and_is_nearly_right() -> None:
+    rng = np.random.default_rng(8)
+    worst = 0.0
+    for _ in range(20):
+        likelihood, density = rng.uniform(0.01, 2.0, (5, 7)), np.full(7, 0.1)
+        beta, found = ours(likelihood, density, max_shared=3)
+        assert found.approximate == 1
+        worst = max(worst, np.abs(beta - enumerated(likelihood, density)).max())
+    assert worst < 0.05
+
+
+def test_extreme_ratios_stay_finite() -> None:
+    rng = np.random.default_rng(9)
+    likelihood = 10.0 ** rng.uniform(-300, 5, (60, 60)) * (rng.random((60, 60)) < 0.08)
+    for max_shared in (1, 12):
+        beta, _ = ours(likelihood, np.full(60, 1e-12), max_shared=max_shared)
+        assert np.isfinite(beta).all()
+        assert_allclose(beta.sum(axis=1), 1.0, rtol=1e-9)
+
+
+def test_a_later_rank_gets_what_is_left() -> None:
+    likelihood = np.array([[5.0, 0.0], [5.0, 5.0]])
+    beta, found = ours(likelihood, np.full(2, 1e-3), rank=[0, 1])
+    alone, _ = ours(likelihood[:1], np.full(2, 1e-3))
+    assert_allclose(beta[0], alone[0])
+    assert beta[1, 1] == 0.0
+    assert beta[1, 2] > 0.99
+    assert found.claimed.tolist() == [True, False]
+    assert found.in_gate.tolist() == [True, True]
+
+
+def test_nothing_to_associate() -> None:
+    for n, m in ((0, 0), (0, 3), (3, 0)):
+        beta, found = ours(np.zeros((n, m)), np.ones(m))
+        assert beta.shape == (n, m + 1)
+        assert found.beta_none.tolist() == [1.0] * n
+        assert found.taken.tolist() == [0.0] * m
+
+
+def test_the_sum_over_events_is_bounded() -> None:
+    # 200 tracks that all gate the same 4,000 measurements: no exact sum, few rounds of belief propagation.
+    likelihood = np.random.default_rng(10).uniform(0.1, 1.0, (200, 4000))
+    beta, found = ours(likelihood, np.full(4000, 0.1))
+    assert found.approximate == 1
+    assert_allclose(beta.sum(axis=1), 1.0, rtol=1e-9)
