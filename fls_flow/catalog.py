@@ -6,6 +6,7 @@ A kind is a plain dataclass: its fields are the parameters, the annotations of `
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib.metadata
 import inspect
 import re
@@ -129,8 +130,7 @@ class Catalog:
 
     def listings(self) -> tuple[Listing, ...]:
         """Every installed kind, sorted by name; a name that two distributions claim stands twice."""
-        found = [_listing(entry) for entry in importlib.metadata.entry_points(group=hookspecs.PROJECT)]
-        return tuple(sorted(found, key=lambda one: (one.kind, one.distribution)))
+        return tuple(listing for listing, _ in self._entries)
 
     def names(self) -> list[str]:
         """The names of all kinds."""
@@ -148,15 +148,21 @@ class Catalog:
         return self._loaded[name]
 
     def _installed(self, name: str) -> Kind:
-        entries = list(importlib.metadata.entry_points(group=hookspecs.PROJECT, name=name))
+        entries = [(listing, entry) for listing, entry in self._entries if listing.kind == name]
         if not entries:
             near = suggest(name, self.names())
             raise PluginError(f"unknown kind '{name}'{near or '; fls-flow plugins lists the installed ones'}")
         if len(entries) > 1:
-            owners = " and ".join(sorted(_owner(_listing(entry)) for entry in entries))
+            owners = " and ".join(_owner(listing) for listing, _ in entries)
             raise PluginError(f"kind '{name}' is claimed by {owners}; uninstall one of them")
-        listing = _listing(entries[0])
-        return dataclasses.replace(describe(_hooked(entries[0], listing), name), listing=listing)
+        listing, entry = entries[0]
+        return dataclasses.replace(describe(_hooked(entry, listing), name), listing=listing)
+
+    @functools.cached_property
+    def _entries(self) -> list[tuple[Listing, importlib.metadata.EntryPoint]]:
+        """What is installed, read from the disk once."""
+        found = [(_listing(one), one) for one in importlib.metadata.entry_points(group=hookspecs.PROJECT)]
+        return sorted(found, key=lambda one: (one[0].kind, one[0].distribution, one[0].module))
 
 
 def _listing(entry: importlib.metadata.EntryPoint) -> Listing:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import IntEnum
 from functools import cache
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, Protocol, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -92,7 +92,7 @@ class Sealed:
 
     def __post_init__(self) -> None:
         lengths: dict[str, tuple[int, str]] = {}
-        for name, shape in _shapes(type(self)):
+        for name, shape in _shapes(cast(Any, type(self))):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, _sealed(type(self).__name__, name, value, shape, lengths))

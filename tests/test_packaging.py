@@ -78,3 +78,8 @@ def test_every_dependency_is_named_with_its_reason():
     text = (ROOT / "ARCHITECTURE.md").read_text()
     for requirement in PROJECT["project"]["dependencies"]:
         assert re.split(r"[<>=\[]", requirement)[0] in text
+
+
+def test_the_readme_shows_the_example_as_it_is():
+    example = (ROOT / "examples" / "acme_sonar" / "src" / "acme_sonar" / "peaks.py").read_text()
+    assert f"```python\n{example.rstrip()}\n```" in (ROOT / "README.md").read_text()

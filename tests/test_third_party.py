@@ -37,7 +37,17 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The programs of an environment that holds the two wheels and what they need, nothing else."""
     place = tmp_path_factory.mktemp("clean")
     for project in (ROOT, ACME):
-        call(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", place / "dist", project, cwd=place)
+        call(
+            sys.executable,
+            "-m",
+            "build",
+            "--wheel",
+            "--no-isolation",
+            "--outdir",
+            place / "dist",
+            project,
+            cwd=place,
+        )
     venv.create(place / "env", with_pip=True)
     programs = place / "env" / "bin"
     wheels = sorted((place / "dist").glob("*.whl"))
@@ -49,7 +59,9 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.timeout(900)
 def test_the_example_is_listed_swapped_in_and_run_from_the_wheels(clean, tmp_path):
     listed = json.loads(call(clean / "fls-flow", "plugins", "--json", cwd=tmp_path))
-    assert {"acme-peaks": "acme-sonar"}.items() <= {one["kind"]: one["distribution"] for one in listed}.items()
+    assert {"acme-peaks": "acme-sonar"}.items() <= {
+        one["kind"]: one["distribution"] for one in listed
+    }.items()
     words = ["run", "surface_obstacle", "--use", "cfar=acme-peaks", "--set", "sonar.pings=30", "--out", "o"]
     call(clean / "fls-flow", *words, cwd=tmp_path)
     with (tmp_path / "o" / "tracks.csv").open(newline="") as file:
@@ -62,7 +74,16 @@ def test_the_wheel_carries_graphs_and_the_recording(clean, tmp_path):
     assert Path(where.strip()).is_relative_to(clean.parent)
     names = {path.stem for path in (ROOT / "graphs").glob("*.yaml")}
     assert {path.stem for path in Path(where.strip()).glob("*.yaml")} == names
-    call(clean / "fls-flow", "run", "surface_on_recording", "--set", "sonar.pings=5", "--out", "o", cwd=tmp_path)
+    call(
+        clean / "fls-flow",
+        "run",
+        "surface_on_recording",
+        "--set",
+        "sonar.pings=5",
+        "--out",
+        "o",
+        cwd=tmp_path,
+    )
     assert (tmp_path / "o" / "tracks.png").is_file()
 
 

@@ -378,7 +378,7 @@ def _uncertain(check: _Check) -> set[str]:
             fallen = port in draft.inherited_wires and kind is not None and kind.input(port) is None
             if (draft.name, port) not in check.places and not fallen:
                 broken.add(giver(value))
-    meant = [port.message for port in check.unwired]  # any giver that fits
+    meant = {port.message for port in check.unwired}  # any giver that fits
     for name, kind in check.kinds.items():
         if any(_fits(output.message, message) for output in kind.outputs for message in meant):
             broken.add(name)

@@ -34,7 +34,7 @@ class Draft:
     # names that came with another kind: kept where the new kind has them, else they fall away
     inherited: frozenset[str] = frozenset()
     inherited_wires: frozenset[str] = frozenset()
-    # what is no mapping, and was reported: the node itself, its `in` or its `with`
+    # what cannot be read, and was reported: the node itself, its `in` or its `with`
     faulty: frozenset[str] = frozenset()
 
 
@@ -194,7 +194,7 @@ def _merge(source: Source, name: str, value: Value, *, based: bool) -> None:
     _unknown_keys(value, NODE_KEYS, f"node '{name}'", source.problems)
     below = source.drafts.get(name, Draft(name, value.where))
     draft = _swapped(below, value.mapping.get("use"))
-    faulty = frozenset(key for key in ("in", "with") if not _is_mapping(source, value, key, name))
+    faulty = {key for key in ("in", "with") if not _is_mapping(source, value, key, name)} | _misspelt(value)
     wires, given = (_mapping(value, key) for key in ("in", "with"))
     source.cut |= {giver(below.wires[port]) for port in wires if port in below.wires}
     source.drafts[name] = replace(
@@ -210,6 +210,13 @@ def _merge(source: Source, name: str, value: Value, *, based: bool) -> None:
         inherited_wires=draft.inherited_wires - set(wires),
         faulty=draft.faulty | faulty,
     )
+
+
+def _misspelt(value: Value) -> set[str]:
+    """What of a node stands under a key that was reported as unknown; nothing more can be said about it."""
+    unknown = [key for key in value.mapping if key not in NODE_KEYS]
+    parts = {"use": "node", "in": "in", "with": "with"}
+    return {part for key, part in parts.items() if key not in value.mapping and suggest(key, unknown)}
 
 
 def _swapped(draft: Draft, use: Value | None) -> Draft:

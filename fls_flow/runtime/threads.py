@@ -27,7 +27,8 @@ def single_threaded() -> Iterator[None]:
 
 
 def pin_this_thread() -> None:
-    """Limit numba in the calling thread; its limit is one per thread."""
+    """Limit what counts its threads by calling thread: numba and OpenMP."""
     numba = sys.modules.get("numba")
     if numba is not None:
         numba.set_num_threads(1)
+    threadpool_limits(limits=1, user_api="openmp")

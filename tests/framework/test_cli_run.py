@@ -131,7 +131,10 @@ def test_in_order_gives_the_same_bytes(command, tmp_path):
     [
         (["run", "nosuch"], "error: nosuch: no such graph file"),
         (["run", "surface_obstacl"], "did you mean 'surface_obstacle'?"),
-        (["run", "surface_obstacle", "--set", "cfar.pfa=lots"], "parameter 'pfa' is \"lots\"; it takes float"),
+        (
+            ["run", "surface_obstacle", "--set", "cfar.pfa=lots"],
+            "parameter 'pfa' is \"lots\"; it takes float",
+        ),
         (["run", "surface_obstacle", "--use", "cfar=rayleig-cfar"], "did you mean 'rayleigh-cfar'?"),
         (["run", "surface_obstacle", "--rate", "0"], "rate is 0.0; it is greater than 0"),
         (["run", "surface_obstacle", "--window", "0"], "0 is not in the range"),
@@ -170,7 +173,9 @@ def fls_node():
 
 def test_a_node_that_raises_ends_the_run_with_one_line(command, plugins, tmp_path):
     plugins("acme-fails", FAILS)
-    done = command("run", "surface_obstacle", "--use", "cfar=acme-fails", "--set", "sonar.pings=40", "--out", "o")
+    done = command(
+        "run", "surface_obstacle", "--use", "cfar=acme-fails", "--set", "sonar.pings=40", "--out", "o"
+    )
     assert done.returncode == 1
     errors = [line for line in done.stderr.splitlines() if line.startswith("error:")]
     assert errors == [
@@ -188,7 +193,9 @@ def test_a_node_that_raises_ends_the_run_with_one_line(command, plugins, tmp_pat
 
 def test_debug_shows_the_traceback(command, plugins):
     plugins("acme-fails", FAILS)
-    done = command("run", "surface_obstacle", "--use", "cfar=acme-fails", *QUICK, "--set", "cfar.at=2", "--debug")
+    done = command(
+        "run", "surface_obstacle", "--use", "cfar=acme-fails", *QUICK, "--set", "cfar.at=2", "--debug"
+    )
     assert done.returncode == 1
     assert "Traceback" in done.stderr
 

@@ -42,7 +42,9 @@ def test_svg_has_a_box_for_every_node_and_a_path_for_every_wire(graph):
 
 def test_svg_boxes_lie_apart_and_inside_the_picture(graph):
     root = ElementTree.fromstring(draw.svg(graph))
-    boxes = [[float(box.get(key)) for key in ("x", "y", "width", "height")] for box in root.findall(f"{SVG}rect")]
+    boxes = [
+        [float(box.get(key)) for key in ("x", "y", "width", "height")] for box in root.findall(f"{SVG}rect")
+    ]
     width, height = float(root.get("width")), float(root.get("height"))
     for n, (x, y, w, h) in enumerate(boxes):
         assert x >= 0
@@ -71,6 +73,8 @@ def test_the_command_writes_the_form_that_the_file_name_asks_for(tmp_path):
     assert ElementTree.parse(tmp_path / "g.svg").getroot().tag == f"{SVG}svg"
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     assert printed.startswith("flowchart LR")
-    missing = subprocess.run([*command, "-o", tmp_path / "no" / "g.svg"], capture_output=True, text=True, check=False)
+    missing = subprocess.run(
+        [*command, "-o", tmp_path / "no" / "g.svg"], capture_output=True, text=True, check=False
+    )
     assert missing.returncode == 2
     assert "cannot be written" in missing.stderr

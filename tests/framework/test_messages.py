@@ -363,8 +363,16 @@ def test_the_codes_in_files_stay_as_they_are() -> None:
 @pytest.mark.parametrize(
     ("cls", "given", "line"),
     [
-        (messages.Features, {"names": ("area",), "values": np.zeros((1, 2))}, "Features.names names 1; there are 2"),
-        (messages.Classes, {"names": (), "posterior": np.zeros((1, 2))}, "Classes.names names 0; there are 2"),
+        (
+            messages.Features,
+            {"names": ("area",), "values": np.zeros((1, 2))},
+            "Features.names names 1; there are 2",
+        ),
+        (
+            messages.Classes,
+            {"names": (), "posterior": np.zeros((1, 2))},
+            "Classes.names names 0; there are 2",
+        ),
     ],
 )
 def test_names_count_the_columns(cls, given, line):

@@ -325,7 +325,9 @@ def test_a_paced_replay_sheds_whole_pings_at_the_source_and_keeps_the_newest(run
     assert len(values) == 20 - shed == report.pings
     assert values[-1] == 19, "the newest ping is kept"
     assert values == sorted(values)
-    assert [index for index, _ in seen["det.detections"]] == list(range(20 - shed)), "a shed ping has no index"
+    assert [index for index, _ in seen["det.detections"]] == list(range(20 - shed)), (
+        "a shed ping has no index"
+    )
     assert report.counts["out"].fired == 20 - shed, "never a half-processed ping"
 
 
@@ -377,7 +379,9 @@ def test_stopping_ends_a_live_source_that_blocks(run, tmp_path, in_order):
 def test_short_inputs_end_cleanly(run, in_order, pings):
     report, _ = run(LOOP, in_order=in_order, set_=[f"sonar.pings={pings}"])
     assert report.status == "finished"
-    assert {name: counts.fired for name, counts in report.counts.items()} == dict.fromkeys(report.counts, pings)
+    assert {name: counts.fired for name, counts in report.counts.items()} == dict.fromkeys(
+        report.counts, pings
+    )
 
 
 # --- answers -------------------------------------------------------------------------------------
@@ -555,7 +559,11 @@ def test_a_stop_finishes_what_is_in_flight(tmp_path, in_order):
     graph = graphs.load(path, catalog=Catalog(KINDS), set_=["sonar.pings=100000"])
     one: list[Run] = []
     one.append(
-        Run(graph, Options(in_order=in_order), on_finished=lambda pings: one[0].stop() if pings >= 20 else None)
+        Run(
+            graph,
+            Options(in_order=in_order),
+            on_finished=lambda pings: one[0].stop() if pings >= 20 else None,
+        )
     )
     report = one[0].start()
     assert report.status == "interrupted"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ import pytest
 
 from fls_flow import DetectionKind, TrackStatus, wire
 from fls_flow import graph as graphs
-from fls_flow.geometry import to_polar
+from fls_flow.geometry import Pose, sensor_pose, to_polar
 from fls_flow.runtime import Options, Run
 
 OUTPUTS = ("sonar.truth", "cfar.detections", "wakes.detections", "tracker.tracks")
@@ -23,6 +24,7 @@ OUTPUTS = ("sonar.truth", "cfar.detections", "wakes.detections", "tracker.tracks
 class Seen:
     """What the outputs gave, ping by ping."""
 
+    poses: list[Pose]
     truth: list[Any]
     raw: list[Any]
     measurements: list[Any]
@@ -40,6 +42,7 @@ class Seen:
                 continue
             tracks = self.confirmed(ping)
             place = truth.state[truth.target_id == target][0, :2]
+            place = self.poses[ping].to_ned(place) if tracks.frame == "ned" else place
             apart = np.hypot(*(tracks.state[:, :2] - place).T)
             near = len(tracks) > 0 and apart.min() < gate_m
             found.append(int(tracks.id[apart.argmin()]) if near else None)
@@ -48,7 +51,7 @@ class Seen:
 
 def switches(followers: list[int | None]) -> int:
     held = [one for one in followers if one is not None]
-    return sum(a != b for a, b in zip(held, held[1:], strict=False))
+    return sum(a != b for a, b in itertools.pairwise(held))
 
 
 @pytest.fixture(scope="module")
@@ -56,18 +59,20 @@ def play(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Seen]:
     """Run the graph with `--set` options; a run is kept for the tests of this module."""
     kept: dict[tuple[str, ...], Seen] = {}
 
-    def start(*settings: str) -> Seen:
-        if settings not in kept:
-            graph = graphs.load("surface_obstacle", set_=settings)
+    def start(*settings: str, graph: str = "surface_obstacle") -> Seen:
+        if (graph, *settings) not in kept:
+            loaded = graphs.load(graph, set_=settings)
             lists: dict[tuple[str, ...], list[Any]] = {tuple(name.split(".")): [] for name in OUTPUTS}
             taps = {
                 place: lambda index, message, into=into: into.append(message) for place, into in lists.items()
             }
+            poses: list[Pose] = []
             out = tmp_path_factory.mktemp("run")
-            report = Run(graph, Options(), out=out, taps=taps).start()
+            taps["sonar", "ping"] = lambda index, ping: poses.append(sensor_pose(ping.nav, ping.mount))
+            report = Run(loaded, Options(), out=out, taps=taps).start()
             assert report.error is None
-            kept[settings] = Seen(*lists.values())
-        return kept[settings]
+            kept[graph, *settings] = Seen(poses, *lists.values())
+        return kept[graph, *settings]
 
     return start
 
@@ -88,12 +93,15 @@ def test_sequence_ii_buoy_and_boat_keep_their_tracks_through_the_crossing(play, 
         assert followers[30:].count(None) == 0
 
 
-def test_sequence_i_all_five_objects_are_tracked(play):
-    seen = play("sonar.sequence=buoys-and-blocks", "cfar.pfa=1e-5")
+@pytest.mark.parametrize("seed", [7, 1])
+def test_sequence_i_all_five_objects_are_tracked(play, seed):
+    seen = play(f"sonar.seed={seed}", graph="surface_obstacle_200m")
     for target in range(1, 6):
-        followers = seen.followers(target, gate_m=10.0)
+        followers = seen.followers(target, gate_m=3.0)
         assert len(followers) >= 150
-        assert followers[40:].count(None) <= 0.05 * len(followers), f"target {target}"
+        assert followers[12:].count(None) <= 0.02 * len(followers), f"target {target}"
+        if target > 1:  # the 6 m buoy, near, may split into two
+            assert switches(followers) == 0, f"target {target}"
 
 
 def test_sequence_iii_boat_buoy_and_sail_boat_are_tracked(play):
@@ -120,24 +128,14 @@ def test_sequence_iv_the_range_of_the_ship_heard_by_its_noise(play, seed):
 def test_stabilised_by_navigation_still_objects_stand_still(play):
     """With yaw, a track in the sensor frame bends; in the world frame it does not (the paper's future work)."""
 
-    def spread(*settings: str) -> float:
-        seen = play("sonar.sequence=inflatable-and-buoy", "sonar.yaw_deg=4", "sonar.pings=150", *settings)
-        followed = Counter(one for one in seen.followers(1) if one is not None) if not settings else None
-        states = [
-            tracks.state[tracks.id == track_id, :2]
-            for tracks in seen.tracks[60:]
-            for track_id in ([followed.most_common(1)[0][0]] if followed else still(seen))
-        ]
-        places = np.concatenate(states)
-        return float(np.linalg.norm(places.std(axis=0)))
+    def spread(frame: str) -> float:
+        settings = ("sonar.sequence=inflatable-and-buoy", "sonar.yaw_deg=4", "sonar.pings=150")
+        seen = play(*settings, f"tracker.frame={frame}")
+        (buoy, _), *_ = Counter(one for one in seen.followers(1) if one is not None).most_common(1)
+        places = [tracks.state[tracks.id == buoy, :2] for tracks in seen.tracks[60:]]
+        return float(np.linalg.norm(np.concatenate(places).std(axis=0)))
 
-    def still(seen: Seen) -> list[int]:
-        """The slowest of the tracks that are there at the end."""
-        last = seen.confirmed(-1)
-        speeds = np.hypot(*last.state[:, 2:].T)
-        return [int(last.id[speeds.argmin()])]
-
-    assert spread("tracker.frame=ned") < 0.5 * spread()
+    assert spread("ned") < 0.5 * spread("sensor")
 
 
 def test_the_same_seed_gives_the_same_bits_in_threads_and_in_order(tmp_path):

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
+
+from fls_flow import Classes, Detections, InputError, Ping, Tracks, Truth
 from fls_sinks.csv_file import CsvFile
 from fls_sinks.detection_csv import DetectionCsv
 from fls_sinks.track_csv import TrackCsv
 from fls_sinks.truth_csv import TruthCsv
 from fls_sources.detections_csv import DetectionsCsv
-from numpy.testing import assert_array_equal
-
-from fls_flow import Classes, Detections, InputError, Ping, Tracks, Truth
 
 TRACKS = "seq,stamp_ns,track_id,status,x_m,y_m,vx_mps,vy_mps,var_x,cov_xy,var_y,label,probability,frame"
 DETECTIONS = "seq,stamp_ns,range_m,bearing_rad,amplitude"

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from fls_sinks.fan import Fan, decibels, edges, fan, peak_reduced, raster
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fls_flow.geometry import to_cartesian
+from fls_sinks.fan import Fan, decibels, edges, fan, peak_reduced, raster
 
 
 def pixel_of(image: Fan, picture, x, y):

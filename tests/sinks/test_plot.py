@@ -6,14 +6,14 @@ import math
 import cv2
 import numpy as np
 import pytest
-from fls_sinks.marks import ellipse, wedge
-from fls_sinks.picture import Look, drawn, levels, when
-from fls_sinks.plot import Plot
-from fls_sinks.scene import History, Scene
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fls_flow import BeamMask, Detections, InputError, NavState, Tracks, Truth, Wakes
 from fls_flow.geometry import sensor_pose
+from fls_sinks.marks import ellipse, wedge
+from fls_sinks.picture import Look, drawn, levels, when
+from fls_sinks.plot import Plot
+from fls_sinks.scene import History, Scene
 
 LOOK = Look(dynamic_range_db=40.0, gate_probability=0.99, colormap="gray", dpi=100)
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fls_sources.detections_csv import DetectionsCsv
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fls_flow import InputError
+from fls_sources.detections_csv import DetectionsCsv
 
 HEADER = "seq,stamp_ns,range_m,bearing_rad,amplitude\n"
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fls_sources.oculus_protocol import MAX_MESSAGE_BYTES
-from fls_sources.oculus_raw import OculusRaw, PingClock
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fls_flow import InputError
+from fls_sources.oculus_protocol import MAX_MESSAGE_BYTES
+from fls_sources.oculus_raw import OculusRaw, PingClock
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "oculus"
 HEADER = struct.Struct("<HHHHHIH")

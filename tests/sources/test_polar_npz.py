@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fls_sources.npz_stream import MAX_PIECE_BYTES, NpzArchive
-from fls_sources.polar_npz import PolarNpz
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fls_flow import InputError, Mount
+from fls_sources.npz_stream import MAX_PIECE_BYTES, NpzArchive
+from fls_sources.polar_npz import PolarNpz
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "didson" / "lamprey1_40.npz"
 SHAPE = (5, 30, 7)

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
 from fls_sources.scene_clutter import (
     LEVEL,
     WEIBULL_SHAPE,
@@ -13,7 +15,6 @@ from fls_sources.scene_clutter import (
     quantized,
     speckle,
 )
-from numpy.testing import assert_allclose, assert_array_equal
 
 SHAPE = (4000, 40)
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from fls_sources.scene_motion import OwnShip, TimedPath, apparent, coasting, even_stamps, uneven_stamps
 from numpy.testing import assert_allclose
+
+from fls_sources.scene_motion import OwnShip, TimedPath, apparent, coasting, even_stamps, uneven_stamps
 
 WAY = [(30.0, -10.0), (33.0, -4.0), (32.0, 3.0), (36.0, 9.0)]
 

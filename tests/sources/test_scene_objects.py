@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
 from fls_sources.scene_clutter import beam_power
 from fls_sources.scene_motion import TimedPath
 from fls_sources.scene_objects import SceneObject, echo_field, scatterers
-from numpy.testing import assert_allclose, assert_array_equal
 
 WIDTH = np.deg2rad(1.5)
 BEAMS = WIDTH * (np.arange(39) - 19)

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
 from fls_sources.scene_clutter import beam_power
 from fls_sources.scene_motion import TimedPath
 from fls_sources.scene_wake import N_BUBBLES, WakeLaw, bubbles, wake_patch
-from numpy.testing import assert_allclose, assert_array_equal
 
 ACROSS = TimedPath.straight(0.0, (30.0, -10.0), (0.0, 0.5))
 BEAMS = np.deg2rad(1.5) * (np.arange(39) - 19)

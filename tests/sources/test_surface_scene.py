@@ -5,13 +5,13 @@ from itertools import islice
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from fls_flow.geometry import sensor_pose, to_polar
 from fls_sources.scene_image import Stage
 from fls_sources.scene_motion import TimedPath
 from fls_sources.scene_objects import SceneObject, scatterers
 from fls_sources.surface_scene import SurfaceScene, fls_node
-from numpy.testing import assert_allclose, assert_array_equal
-
-from fls_flow.geometry import sensor_pose, to_polar
 
 SIZES = {
     "buoys-and-blocks": (600, 4000),

@@ -7,9 +7,10 @@ import itertools
 import numpy as np
 import numpy.typing as npt
 import pytest
+from numpy.testing import assert_allclose
+
 from fls_trackers.association import Association, associate
 from fls_trackers.gating import Gated
-from numpy.testing import assert_allclose
 
 P_D, P_G = 0.9, 0.98
 MISS = 1.0 - P_D * P_G

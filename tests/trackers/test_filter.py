@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fls_trackers.conversion import convert, noise_at
-from fls_trackers.gating import gate
-from fls_trackers.kalman import predict, update
 from numpy.testing import assert_allclose
 
 from fls_flow import geometry
 from fls_flow.geometry import Pose
+from fls_trackers.conversion import convert, noise_at
+from fls_trackers.gating import gate
+from fls_trackers.kalman import predict, update
 
 SD, SB = 0.3, np.deg2rad(1.5)
 POSES = [Pose(), Pose(12.0, -7.0, 2.1)]

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fls_trackers.compiled import compiled
-from fls_trackers.jpda import Jpda, fls_node
 from numpy.testing import assert_allclose
 
 from fls_flow import Detections, Mount, NavState, Tracks, View
 from fls_flow.geometry import Pose
+from fls_flow.kernels import compiled
 from fls_flow.testing import check_node
+from fls_trackers.jpda import Jpda, fls_node
 
 Make = Callable[..., Detections]
 TENTATIVE, CONFIRMED, LOST = 0, 1, 2

@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 import pytest
-from fls_trackers.association import associate
-from fls_trackers.gating import gate
-from fls_trackers.jpda import Jpda
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from fls_flow import Detections, Tracks
+from fls_trackers.association import associate
+from fls_trackers.gating import gate
+from fls_trackers.jpda import Jpda
 
 Observe = Callable[..., Detections]
 FloatArray = npt.NDArray[np.float64]

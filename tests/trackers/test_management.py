@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+
+from fls_flow import View
 from fls_trackers.clutter import ClutterDensity, cell_density
 from fls_trackers.initiation import BoxInitiator, distinct, several_in_a_beam, strongest
 from fls_trackers.life import Rules, count, settle, suspect
 from fls_trackers.settings import PAPER, RECOMMENDED, grain_of, settings_of
 from fls_trackers.track_bank import TrackBank, new_tracks
-from numpy.testing import assert_allclose
-
-from fls_flow import View
 
 DB = np.deg2rad(1.5)
 RULES = Rules(m1=8, n1=6, min_score=-np.inf, m2=20, n2=8, max_sd_m=20.0)

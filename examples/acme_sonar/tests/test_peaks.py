@@ -1,5 +1,4 @@
 from acme_sonar.peaks import Peaks
-
 from fls_flow.testing import check_node, sample_firings
 
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fls_flow.kernels import compiled
 from fls_trackers.belief import propagate
-from fls_trackers.compiled import compiled
 from fls_trackers.events import all_events, plan
 from fls_trackers.gating import Gated
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_flow.geometry import Pose
-from fls_trackers.compiled import compiled
+from fls_flow.kernels import compiled
 
 __all__ = ["convert", "noise_at"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from fls_trackers.compiled import compiled
+from fls_flow.kernels import compiled
 
 __all__ = ["all_events", "plan"]
 

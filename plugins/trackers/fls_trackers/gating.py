@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fls_trackers.compiled import compiled
+from fls_flow.kernels import compiled
 
 __all__ = ["Gated", "gate"]
 

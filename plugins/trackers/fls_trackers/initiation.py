@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_flow import TrackStatus
-from fls_trackers.compiled import compiled
+from fls_flow.kernels import compiled
 from fls_trackers.track_bank import TrackBank, new_tracks
 
 __all__ = ["BoxInitiator", "BoxStarts", "box_tracks", "distinct", "several_in_a_beam", "strongest"]

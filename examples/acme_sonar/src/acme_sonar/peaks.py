@@ -18,7 +18,9 @@ class Peaks:
         row, beam = image.argmax(axis=0), np.arange(image.shape[1])
         loud = image[row, beam] > np.median(image, axis=0) * 10 ** (self.margin_db / 20)
         row, beam = row[loud], beam[loud]
-        return Detections.of(ping, range_m=ping.range_m[row], bearing_rad=ping.bearing_rad[beam], amplitude=image[row, beam])
+        return Detections.of(
+            ping, range_m=ping.range_m[row], bearing_rad=ping.bearing_rad[beam], amplitude=image[row, beam]
+        )
 
 
 @hookimpl

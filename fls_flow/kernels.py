@@ -1,7 +1,7 @@
-"""One way to compile the kernels of this package.
+"""One way to compile loops over cells, particles or hypotheses; importing this loads numba.
 
 A kernel's machine code on disk is renewed when the kernel's own file changes, but not when only a file
-changes whose kernels it calls: after an edit of `events` or `belief`, touch `association`.
+changes whose kernels it calls: after such an edit, touch the caller's file.
 """
 
 from __future__ import annotations
@@ -11,10 +11,13 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
+import numpy.typing as npt
 
-__all__ = ["compiled"]
+__all__ = ["compiled", "frozen"]
 
 F = TypeVar("F", bound=Callable[..., Any])
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 log = logging.getLogger(__name__)
 
@@ -30,3 +33,10 @@ def compiled(function: F) -> F:
         log.info("%s is compiled anew in each process: %s", function.__name__, error)
         kernel = numba.njit(nogil=True, error_model="numpy")(function)
     return cast(F, kernel)
+
+
+def frozen(values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
+    """The same values, contiguous and read-only, so that a kernel is compiled once per dtype."""
+    view = np.ascontiguousarray(values).view()
+    view.flags.writeable = False
+    return view
