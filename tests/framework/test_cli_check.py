@@ -85,9 +85,10 @@ def test_json_of_several_files(command: Command, tmp_path: Path) -> None:
     done = command("check", "good.yaml", "bad.yaml", "none.yaml", "--json")
     assert (done.returncode, done.stderr) == (2, "")
     good, bad, none = json.loads(done.stdout)
-    assert good == {"graph": "good.yaml", "ok": True, "problems": []}
+    assert good == {"graph": "good.yaml", "ok": True, "problems": [], "notes": []}
     what = "node 'cfar': unknown kind 'rayleigh-cfra'; did you mean 'rayleigh-cfar'?"
-    assert bad == {"graph": "bad.yaml", "ok": False, "problems": [{"where": "bad.yaml:4", "what": what}]}
+    problems = [{"where": "bad.yaml:4", "what": what}]
+    assert bad == {"graph": "bad.yaml", "ok": False, "problems": problems, "notes": []}
     assert (none["ok"], none["problems"][0]["where"]) == (False, "none.yaml")
     assert none["problems"][0]["what"].startswith("no such graph file; ")
 
@@ -120,8 +121,11 @@ def test_what_falls_away_in_a_swap_is_noted_on_the_error_stream(command: Command
     lay(tmp_path, "acme-peaks", PEAKS)
     done = command("check", "surface_obstacle", "--json", "--use", "cfar=acme-peaks")
     assert done.returncode == 0
-    assert json.loads(done.stdout) == [{"graph": "surface_obstacle", "ok": True, "problems": []}]
-    assert done.stderr.splitlines() == [
+    (said,) = json.loads(done.stdout)
+    assert (said["ok"], said["problems"]) == (True, [])
+    notes = done.stderr.splitlines()
+    assert [f"note: {note}" for note in said["notes"]] == notes
+    assert notes == [
         *[
             f"note: node 'cfar': input '{one}' falls away; 'acme-peaks' has none"
             for one in ("noisy", "wakes", "tracks")

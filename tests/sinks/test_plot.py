@@ -297,7 +297,8 @@ def test_odd_pings_are_drawn(tmp_path, make_ping, name):
 def test_tracks_that_are_not_finite_do_no_harm(tmp_path, make_ping, make_tracks):
     tracks = make_tracks(ids=(1, 2), state=[[np.nan, 1, 0, 0], [np.inf, 1, 0, 0]])
     detections = Detections.of(make_ping(), range_m=[np.nan], bearing_rad=[0.0], amplitude=[1])
-    plotted(tmp_path / "t.png", {"ping": make_ping(), "tracks": tracks, "detections": detections}, dpi=50)
+    inputs = {"ping": make_ping(), "tracks": tracks, "detections": detections}
+    assert plotted(tmp_path / "t.png", inputs, dpi=50).std() > 5
 
 
 def test_marks_far_larger_than_the_fan_are_left_out(tmp_path, make_ping, make_tracks):

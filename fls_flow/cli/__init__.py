@@ -1,0 +1,82 @@
+"""The `fls-flow` command: a module per verb, loaded when it is called, so that `--help` loads no numerics.
+
+Exit code 0 if all went well, 2 for a mistake in what the user wrote, 1 for a failure at run time, 130 after
+Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+import click
+
+from fls_flow.cli.common import show
+from fls_flow.errors import FlsFlowError
+
+__all__ = ["main"]
+
+# verb -> its line in `--help`; each is the command `VERB` of the module `fls_flow.cli.VERB`
+VERBS = {
+    "run": "Run GRAPH, a file or the name of a shipped graph.",
+    "check": "Find every mistake in GRAPHS without running them.",
+    "plugins": "List the installed kinds, or show one.",
+    "draw": "Draw GRAPH as Mermaid text or as an SVG picture.",
+}
+
+
+class Verbs(click.Group):
+    """A group that imports a verb's module when the verb is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The verbs in the order in which one meets them."""
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of that name; None when there is none."""
+        if cmd_name not in VERBS:
+            return None
+        module = importlib.import_module(f"fls_flow.cli.{cmd_name}")
+        command: click.Command = getattr(module, cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The verbs with their lines, without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(VERBS.items()))
+
+
+@click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="fls-flow", prog_name="fls-flow")
+@click.option("--debug", is_flag=True, help="Show tracebacks and debug messages.")
+def cli(debug: bool) -> None:
+    """Forward-looking sonar, from pings to tracked obstacles.
+
+    \b
+    Example:
+      fls-flow run surface_obstacle
+    """
+
+
+def main() -> None:
+    """Run the command line; every error is one line, with a traceback only for --debug."""
+    debug = "--debug" in sys.argv[1:]
+    if debug:  # wherever it stands
+        sys.argv = [sys.argv[0], "--debug", *(word for word in sys.argv[1:] if word != "--debug")]
+    try:
+        sys.exit(cli(standalone_mode=False) or 0)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except click.exceptions.Abort:
+        sys.exit(130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read has had enough
+        sys.exit(1)
+    except FlsFlowError as error:
+        show(error, debug)
+        sys.exit(error.exit_code)
+    except Exception as error:
+        show(error, debug)
+        sys.exit(1)

@@ -1,0 +1,5 @@
+"""`python -m fls_flow.cli`."""
+
+from fls_flow.cli import main
+
+main()

@@ -1,0 +1,140 @@
+"""`fls-flow run`."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fls_flow.cli.common import JSON, SET, USE, load, screen
+from fls_flow.errors import UserError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from fls_flow.graph import Graph
+    from fls_flow.runtime import Options, Report, Run, RunFolder
+
+__all__ = ["run"]
+
+
+@click.command()
+@click.argument("graph")
+@click.option("--in-process", is_flag=True, help="Run all nodes in this process (so far the only way).")
+@click.option("--in-order", is_flag=True, help="One node after the other instead of a thread each.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder of the run [runs/GRAPH/UTC-TIME].")
+@click.option("--window", type=click.IntRange(1, 1000), help="Pings in flight [8; live 2].")
+@click.option("--rate", type=float, help="Replay at this multiple of real time, shedding like a live sonar.")
+@click.option("--repeat", type=click.Path(path_type=Path), help="run.json of a live run to repeat.")
+@click.option("--no-progress", is_flag=True, help="No progress bar.")
+@USE
+@SET
+@JSON
+@click.pass_context
+def run(context: click.Context, /, graph: str, **options: Any) -> int:
+    """Run GRAPH, a file or the name of a shipped graph.
+
+    \b
+    Examples:
+      fls-flow run surface_obstacle
+      fls-flow run graphs/surface_obstacle.yaml --set sonar.sequence=passenger-boat --out runs/iv
+      fls-flow run surface_obstacle --use cfar=acme-peaks --rate 1
+    """
+    from fls_flow import console, runtime
+
+    checked = load(graph, options)
+    settings = _settings(options)
+    folder = runtime.RunFolder.create(checked, options["out"])
+    terminal, as_json = screen(stderr=True), options["as_json"]
+    if not as_json:
+        click.echo(f"writing to {folder.path}", err=True)
+    debug = bool(context.find_root().params["debug"])
+    with folder.logging(), console.log_to(terminal, debug=debug):
+        report = _run(checked, settings, folder, terminal, shown=not (as_json or options["no_progress"]))
+    if as_json:
+        document = {"out": str(folder.path), "figures": console.headline(checked, report), **report.summary()}
+        click.echo(json.dumps(document))
+    else:
+        _print_report(checked, report, folder.path)
+    if report.error is not None:
+        raise report.error
+    return 130 if report.status == "interrupted" else 0
+
+
+def _settings(options: dict[str, Any]) -> Options:
+    from fls_flow.runtime import Options
+
+    taken: dict[str, Any] = {}
+    if options["repeat"] is not None:
+        try:
+            taken = json.loads(options["repeat"].read_text(encoding="utf-8"))["samples_taken"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UserError(f"--repeat {options['repeat']}: is no run.json of a run that ended") from error
+    try:
+        return Options(options["window"], options["rate"], options["in_order"], samples_taken=taken)
+    except ValueError as error:
+        raise UserError(f"--{error}") from error
+
+
+def _run(checked: Graph, settings: Options, folder: RunFolder, terminal: Console, *, shown: bool) -> Report:
+    from fls_flow import console, runtime
+
+    occupied = folder.occupied(checked)
+    if occupied:
+        (folder.path / "run.json").unlink()
+        raise UserError(f"{occupied[0]}: is there already; name another --out folder")
+    began = _now()
+    count: list[Callable[[int], None]] = []
+    one = runtime.Run(checked, settings, out=folder.path, on_finished=lambda pings: count[0](pings))
+    about = {"run": one.id, "began": began, "window": one.window, **runtime.describe(checked)}
+    folder.record({"status": "running", **about})
+    with console.progress(terminal, one.total, shown=shown) as counting, _stopped_by_signals(one):
+        count.append(counting)
+        report = one.start()
+    folder.record({**about, "ended": _now(), **report.summary()})
+    return report
+
+
+def _now() -> str:
+    import datetime
+
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+
+
+@contextmanager
+def _stopped_by_signals(one: Run) -> Iterator[None]:
+    """The first Ctrl-C or SIGTERM stops the run cleanly, the second at once."""
+
+    def stop(number: int, frame: Any) -> None:
+        signal.signal(number, signal.default_int_handler)
+        one.stop()
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise click.exceptions.Abort from None
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _print_report(checked: Graph, report: Report, out: Path) -> None:
+    from fls_flow import console
+
+    terminal = screen(stderr=False)
+    terminal.print(console.nodes_table(checked, report))
+    figures = console.headline(checked, report)
+    terminal.print("  ".join(f"[bold]{name}[/bold] {value:,}" for name, value in figures.items()))
+    terminal.print(
+        f"{report.status}; wrote {', '.join(_written(out))} in {out}", soft_wrap=True, highlight=False
+    )
+
+
+def _written(out: Path) -> list[str]:
+    return sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
