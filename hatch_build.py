@@ -10,8 +10,7 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 SHIPPED = {
-    "graphs": "fls_flow/_shipped/graphs",
-    "tests/golden/didson": "fls_flow/_shipped/tests/golden/didson",
+    folder: f"fls_flow/_shipped/{folder}" for folder in ("graphs", "deployments", "tests/golden/didson")
 }
 
 

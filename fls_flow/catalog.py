@@ -166,7 +166,8 @@ class Catalog:
 
 
 def _listing(entry: importlib.metadata.EntryPoint) -> Listing:
-    metadata = {key: entry.dist.metadata[key] for key in entry.dist.metadata} if entry.dist else {}
+    read = entry.dist.metadata if entry.dist else None  # each look at it reads the file anew
+    metadata = {key: read[key] for key in read} if read else {}
     return Listing(
         entry.name, metadata.get("Name", "unknown"), metadata.get("Version", "unknown"), entry.value
     )

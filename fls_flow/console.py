@@ -27,6 +27,8 @@ from fls_flow.runtime import Report
 
 __all__ = ["Counting", "headline", "kind_table", "kinds_table", "log_to", "nodes_table", "progress"]
 
+STARTING = "starting (a first run compiles)"
+
 
 class Counting(Protocol):
     """Takes how many pings are done."""
@@ -50,11 +52,12 @@ def progress(console: Console, total: int | None, *, shown: bool) -> Iterator[Co
         refresh_per_second=8,
     )
     with bar:
-        task = bar.add_task("starting", total=total, rate="")
+        task = bar.add_task(STARTING, total=total, rate="")
 
         def count(pings: int) -> None:
             speed = bar.tasks[0].speed
-            bar.update(task, completed=pings, description="pings", rate=f"{speed:.0f}/s" if speed else "")
+            rate = f"{speed:.0f}/s" if speed else ""
+            bar.update(task, completed=pings, description="pings" if pings else STARTING, rate=rate)
 
         yield count
 
@@ -90,9 +93,9 @@ def headline(graph: Graph, report: Report) -> dict[str, float]:
             if (name, output) in measured and _gives(graph.node(name).kind, output, Detections)
         )
         figures["confirmed tracks"] = sum(
-            len(tally.confirmed) for counts in report.counts.values() for tally in counts.outputs.values()
+            tally.confirmed for counts in report.counts.values() for tally in counts.outputs.values()
         )
-    shed = report.counts[graph.clock].shed
+    shed = report.counts[graph.clock].shed if graph.clock in report.counts else 0
     return {**figures, **({"shed pings": shed} if shed else {}), "pings/s": round(report.pings_per_s, 1)}
 
 
@@ -114,7 +117,9 @@ def nodes_table(graph: Graph, report: Report) -> Table:
         table.add_column(name, justify="right")
     table.add_column("gave")
     for node in graph.nodes:
-        counts = report.counts[node.name]
+        counts = report.counts.get(node.name)
+        if counts is None:  # it runs on another host
+            continue
         gave = [f"{tally.entries:,} {name}" for name, tally in counts.outputs.items() if tally.entries]
         gave += [f"{counts.failed} failed"] * bool(counts.failed) + [f"{counts.shed} shed"] * bool(
             counts.shed

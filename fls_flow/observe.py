@@ -21,14 +21,16 @@ class Tally:
     """What one output has given so far."""
 
     entries: int = 0
-    confirmed: set[int] = field(default_factory=set)  # ids; a few bytes a track
+    confirmed: int = 0
+    _ids: set[int] = field(default_factory=set, repr=False)  # of confirmed tracks; a few bytes a track
 
     def add(self, message: Message) -> None:
         """Count a message."""
         if isinstance(message, Sized):
             self.entries += len(message)
         if isinstance(message, Tracks):
-            self.confirmed.update(message.id[message.status == TrackStatus.CONFIRMED].tolist())
+            self._ids.update(message.id[message.status == TrackStatus.CONFIRMED].tolist())
+            self.confirmed = len(self._ids)
 
 
 @dataclass
@@ -41,6 +43,7 @@ class NodeCounts:
     dropped: int = 0  # samples of a stream whose stamp did not increase, or that found no room
     seconds: float = 0.0
     outputs: dict[str, Tally] = field(default_factory=dict)
+    _percentiles: dict[float, float] = field(default_factory=dict, repr=False)
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT), repr=False)
 
     def timed(self, seconds: float) -> None:
@@ -55,6 +58,8 @@ class NodeCounts:
 
     def percentile_ms(self, q: float) -> float:
         """That percentile of the latest firings' times, ms; nan before the first."""
+        if q in self._percentiles:
+            return self._percentiles[q]
         recent = list(self._recent)
         return float(np.percentile(recent, q)) * 1e3 if recent else float("nan")
 
@@ -65,8 +70,16 @@ class NodeCounts:
         outputs = {
             name: {
                 "entries": tally.entries,
-                **({"confirmed": len(tally.confirmed)} if tally.confirmed else {}),
+                **({"confirmed": tally.confirmed} if tally.confirmed else {}),
             }
             for name, tally in self.outputs.items()
         }
         return {**counts, **{name: round(ms, 4) for name, ms in times.items()}, "outputs": outputs}
+
+    @classmethod
+    def of_summary(cls, summary: dict[str, Any]) -> NodeCounts:
+        """The counts of another process, as `summary` gave them."""
+        outputs = {name: Tally(**tally) for name, tally in summary["outputs"].items()}
+        percentiles = {q: float(summary.get(f"p{q:.0f}_ms", "nan")) for q in (50.0, 99.0)}
+        numbers = {name: summary[name] for name in ("fired", "failed", "shed", "dropped")}
+        return cls(**numbers, outputs=outputs, _percentiles=percentiles)

@@ -113,9 +113,17 @@ def _problem(kind: Kind, given: Mapping[str, Value], node: str, where: str, erro
     if error["type"] in ("value_error", "assertion_error"):  # of a nested dataclass
         return Problem(place, f"node '{node}': parameter '{name}': {error['ctx']['error']}")
     expected = type_name(parameter.annotation) if parameter else "?"
-    return Problem(
-        place, f"node '{node}': parameter '{path[0]}' is {shown(given[path[0]])}; it takes {expected}"
-    )
+    near = suggest(str(given[path[0]].data), _words(parameter.annotation) if parameter else [])
+    text = f"parameter '{path[0]}' is {shown(given[path[0]])}; it takes {expected}{near}"
+    return Problem(place, f"node '{node}': {text}")
+
+
+def _words(annotation: Any) -> list[str]:
+    """The words that an annotation allows, in Literals anywhere in it."""
+    inside = typing.get_args(annotation)
+    if typing.get_origin(annotation) is typing.Literal:
+        return [one for one in inside if isinstance(one, str)]
+    return [word for one in inside for word in _words(one)]
 
 
 def _locate(given: Mapping[str, Value], path: list[str], where: str) -> tuple[str, str, Any]:

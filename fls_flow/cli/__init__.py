@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from difflib import get_close_matches
 
 import click
 
@@ -22,7 +23,10 @@ VERBS = {
     "run": "Run GRAPH, a file or the name of a shipped graph.",
     "check": "Find every mistake in GRAPHS without running them.",
     "plugins": "List the installed kinds, or show one.",
+    "top": "Show what the nodes of a run are doing.",
     "draw": "Draw GRAPH as Mermaid text or as an SVG picture.",
+    "evaluate": "Score tracks, detections and estimates against truth.",
+    "sweep": "Run GRAPH over a grid of parameters and score every cell.",
 }
 
 
@@ -40,6 +44,17 @@ class Verbs(click.Group):
         module = importlib.import_module(f"fls_flow.cli.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that the words name; a misspelt one gets a suggestion."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            near = get_close_matches(args[0], VERBS, n=1)
+            hint = f" Did you mean '{near[0]}'?" if near else ""
+            raise click.UsageError(f"{error.message}{hint}", ctx) from error
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The verbs with their lines, without importing them."""
@@ -77,6 +92,10 @@ def main() -> None:
     except FlsFlowError as error:
         show(error, debug)
         sys.exit(error.exit_code)
+    except OSError as error:
+        show(FlsFlowError(f"{error.filename or 'output'}: {error.strerror}"), debug)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nor can the rest be written
+        sys.exit(1)
     except Exception as error:
         show(error, debug)
         sys.exit(1)

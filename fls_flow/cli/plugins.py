@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -44,9 +45,14 @@ def plugins(kind: str | None, as_json: bool) -> None:
         return
     terminal = screen(stderr=False)
     terminal.print(f"[bold]{kind}[/bold]  ({found.role}, {found.listing.module if found.listing else ''})\n")
-    terminal.print(inspect.getdoc(found.cls) or "", markup=False, highlight=False)
+    terminal.print(_flowing(inspect.getdoc(found.cls) or ""), markup=False, highlight=False)
     terminal.print()
     terminal.print(console.kind_table(found))
+
+
+def _flowing(text: str) -> str:
+    """The text with a line per paragraph, for the terminal to break; indented lines stay as they are."""
+    return re.sub(r"(?<=\S)\n(?=\S)", " ", text)
 
 
 def _kind_document(found: Kind) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,22 +13,27 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fls_flow.cli.common import JSON, SET, USE, load, screen
-from fls_flow.errors import UserError
+from fls_flow.errors import FlsFlowError, RunError, UserError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from fls_flow.deploy import Deployment
     from fls_flow.graph import Graph
+    from fls_flow.nursery import Nursery
     from fls_flow.runtime import Options, Report, Run, RunFolder
+    from fls_flow.supervisor import Supervisor
 
 __all__ = ["run"]
 
 
 @click.command()
 @click.argument("graph")
-@click.option("--in-process", is_flag=True, help="Run all nodes in this process (so far the only way).")
-@click.option("--in-order", is_flag=True, help="One node after the other instead of a thread each.")
+@click.option("--in-process", is_flag=True, help="Run all nodes in this process instead of one each.")
+@click.option("--in-order", is_flag=True, help="In this process, one node after the other.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the run [runs/GRAPH/UTC-TIME].")
+@click.option("--deploy", metavar="FILE", help="Deployment that says which node runs where.")
+@click.option("--host", help="Run this host's share of the deployment.")
 @click.option("--window", type=click.IntRange(1, 1000), help="Pings in flight [8; live 2].")
 @click.option("--rate", type=float, help="Replay at this multiple of real time, shedding like a live sonar.")
 @click.option("--repeat", type=click.Path(path_type=Path), help="run.json of a live run to repeat.")
@@ -45,17 +51,43 @@ def run(context: click.Context, /, graph: str, **options: Any) -> int:
       fls-flow run graphs/surface_obstacle.yaml --set sonar.sequence=passenger-boat --out runs/iv
       fls-flow run surface_obstacle --use cfar=acme-peaks --rate 1
     """
+    with _nursery(options) as nursery:
+        return _run_with(context, graph, options, nursery)
+
+
+@contextmanager
+def _nursery(options: dict[str, Any]) -> Iterator[Nursery | None]:
+    """The process that will fork the others, loading already; None to run in this process."""
+    if options["in_process"] or options["in_order"]:
+        yield None
+        return
+    if not sys.platform.startswith("linux"):
+        click.echo("note: processes need Linux; running in this process", err=True)
+        yield None
+        return
+    from fls_flow.nursery import Nursery
+
+    nursery = Nursery()
+    try:
+        yield nursery
+    finally:
+        nursery.kill()
+
+
+def _run_with(context: click.Context, graph: str, options: dict[str, Any], nursery: Nursery | None) -> int:
     from fls_flow import console, runtime
 
     checked = load(graph, options)
     settings = _settings(options)
+    deployment, host = _deployment(checked, options)
     folder = runtime.RunFolder.create(checked, options["out"])
     terminal, as_json = screen(stderr=True), options["as_json"]
     if not as_json:
         click.echo(f"writing to {folder.path}", err=True)
     debug = bool(context.find_root().params["debug"])
     with folder.logging(), console.log_to(terminal, debug=debug):
-        report = _run(checked, settings, folder, terminal, shown=not (as_json or options["no_progress"]))
+        shown = not (as_json or options["no_progress"])
+        report = _run(checked, settings, folder, terminal, nursery, deployment, host, shown=shown)
     if as_json:
         document = {"out": str(folder.path), "figures": console.headline(checked, report), **report.summary()}
         click.echo(json.dumps(document))
@@ -64,6 +96,29 @@ def run(context: click.Context, /, graph: str, **options: Any) -> int:
     if report.error is not None:
         raise report.error
     return 130 if report.status == "interrupted" else 0
+
+
+def _deployment(checked: Graph, options: dict[str, Any]) -> tuple[Deployment, str]:
+    """Where the nodes run, and which host this is."""
+    from fls_flow import deploy
+
+    host: str | None = options["host"]
+    if options["deploy"] is None:
+        if host is not None:
+            raise UserError(f"--host {host}: needs --deploy FILE, which says what runs there")
+        return deploy.local(checked), deploy.LOCAL
+    if options["in_process"] or options["in_order"]:
+        raise UserError("--deploy says where processes run; leave out --in-process and --in-order")
+    deployment = deploy.load(options["deploy"], checked, host=host)
+    for note in deployment.notes:
+        click.echo(f"note: {note}", err=True)
+    if host is None and len(deployment.hosts) == 1:
+        return deployment, deployment.hosts[0]
+    if host not in deployment.hosts:
+        known = ", ".join(deployment.hosts)
+        said = "say which of them this is" if host is None else f"has no host '{host}'"
+        raise UserError(f"--deploy {options['deploy']}: {said}: --host {known.replace(', ', ' | ')}")
+    return deployment, host
 
 
 def _settings(options: dict[str, Any]) -> Options:
@@ -81,7 +136,17 @@ def _settings(options: dict[str, Any]) -> Options:
         raise UserError(f"--{error}") from error
 
 
-def _run(checked: Graph, settings: Options, folder: RunFolder, terminal: Console, *, shown: bool) -> Report:
+def _run(
+    checked: Graph,
+    settings: Options,
+    folder: RunFolder,
+    terminal: Console,
+    nursery: Nursery | None,
+    deployment: Deployment,
+    host: str,
+    *,
+    shown: bool,
+) -> Report:
     from fls_flow import console, runtime
 
     occupied = folder.occupied(checked)
@@ -90,14 +155,41 @@ def _run(checked: Graph, settings: Options, folder: RunFolder, terminal: Console
         raise UserError(f"{occupied[0]}: is there already; name another --out folder")
     began = _now()
     count: list[Callable[[int], None]] = []
-    one = runtime.Run(checked, settings, out=folder.path, on_finished=lambda pings: count[0](pings))
+    one = _prepared(checked, settings, folder, nursery, deployment, host, lambda pings: count[0](pings))
     about = {"run": one.id, "began": began, "window": one.window, **runtime.describe(checked)}
     folder.record({"status": "running", **about})
     with console.progress(terminal, one.total, shown=shown) as counting, _stopped_by_signals(one):
         count.append(counting)
-        report = one.start()
-    folder.record({**about, "ended": _now(), **report.summary()})
+        try:
+            report = one.start()
+        except FlsFlowError as error:
+            folder.record({**about, "status": "failed", "error": str(error), "ended": _now()})
+            raise
+    try:
+        folder.record({**about, "ended": _now(), **report.summary()})
+    except RunError as error:  # a full disk has most likely ended the run already: that is the one to tell
+        report.error = report.error or error
     return report
+
+
+def _prepared(
+    checked: Graph,
+    settings: Options,
+    folder: RunFolder,
+    nursery: Nursery | None,
+    deployment: Deployment,
+    host: str,
+    on_finished: Callable[[int], None],
+) -> Run | Supervisor:
+    if nursery is None:
+        from fls_flow.runtime import Run
+
+        return Run(checked, settings, out=folder.path, on_finished=on_finished)
+    from fls_flow.supervisor import Supervisor
+
+    return Supervisor(
+        checked, deployment, settings, nursery, host=host, out=folder.path, on_finished=on_finished
+    )
 
 
 def _now() -> str:
@@ -107,7 +199,7 @@ def _now() -> str:
 
 
 @contextmanager
-def _stopped_by_signals(one: Run) -> Iterator[None]:
+def _stopped_by_signals(one: Run | Supervisor) -> Iterator[None]:
     """The first Ctrl-C or SIGTERM stops the run cleanly, the second at once."""
 
     def stop(number: int, frame: Any) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from fls_flow.catalog import Catalog
 from fls_flow.graph.check import checked
-from fls_flow.graph.model import Graph, Input, Mode, Node
+from fls_flow.graph.model import Graph, Input, Mode, Node, Recipe
 from fls_flow.graph.read import find, override, read, shipped
 
-__all__ = ["Graph", "Input", "Mode", "Node", "find", "load", "shipped"]
+__all__ = ["Graph", "Input", "Mode", "Node", "Recipe", "find", "load", "shipped"]
 
 
 def load(
@@ -25,6 +26,8 @@ def load(
 
     Raises GraphError with every problem in it, UserError when there is no such file.
     """
+    use, set_ = tuple(use), tuple(set_)
     source = read(find(name))
     override(source, use, set_)
-    return checked(source, catalog or Catalog(), sinkless=sinkless)
+    graph = checked(source, catalog or Catalog(), sinkless=sinkless)
+    return replace(graph, recipe=Recipe(str(name), use, set_))

@@ -280,6 +280,9 @@ def _same_file(check: _Check) -> None:
             if not isinstance(value, Path):
                 continue
             value = Path(os.path.normpath(value))
+            if value.parts[:1] == ("..",):
+                what = f"node '{name}' writes '{value}', which lies outside the run's folder; leave out '..'"
+                check.problem(check.source.drafts[name].where, what)
             if value in seen:
                 what = (
                     f"node '{name}' writes '{value}', and so does node '{seen[value]}'; give one another path"

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from fls_flow.catalog import Kind
 
-__all__ = ["Graph", "Input", "Mode", "Node"]
+__all__ = ["Graph", "Input", "Mode", "Node", "Recipe"]
 
 Mode = Literal["now", "previous", "time"]
 
@@ -51,6 +51,15 @@ class Node:
         return {**defaults, **self.arguments}
 
 
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """How the graph was asked for: another process gets the same one by it."""
+
+    name: str
+    use: tuple[str, ...] = ()
+    set_: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True)
 class Graph:
     """Nodes in an order in which each comes after those that it waits for."""
@@ -60,6 +69,7 @@ class Graph:
     clock: str
     path: Path | None = None
     notes: tuple[str, ...] = ()
+    recipe: Recipe | None = None
 
     def node(self, name: str) -> Node:
         """The node of that name; raises KeyError."""

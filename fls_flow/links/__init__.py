@@ -94,6 +94,9 @@ class Inbox(Protocol):
     def release(self, port: str) -> None:
         """Give back the room of one delivery on `port`, after it was used."""
 
+    def __len__(self) -> int:
+        """How many deliveries wait or are in use."""
+
 
 class Link(Protocol):
     """Carries items between the nodes of one graph."""

@@ -1,6 +1,17 @@
 """Hosts nodes on links: when they fire, in which order, how far ahead, and how a run ends."""
 
 from fls_flow.runtime.folder import RunFolder, describe
-from fls_flow.runtime.run import Options, Report, Run
+from fls_flow.runtime.run import Options, Pace, Report, Run, Share, finished_pings, holders, pace_of
 
-__all__ = ["Options", "Report", "Run", "RunFolder", "describe"]
+__all__ = [
+    "Options",
+    "Pace",
+    "Report",
+    "Run",
+    "RunFolder",
+    "Share",
+    "describe",
+    "finished_pings",
+    "holders",
+    "pace_of",
+]

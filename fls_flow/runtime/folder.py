@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fls_flow.errors import UserError
+from fls_flow.errors import RunError, UserError
 from fls_flow.graph import Graph
 
 __all__ = ["RunFolder"]
@@ -57,15 +57,19 @@ class RunFolder:
         return [path for path in paths if path.is_file()]
 
     def record(self, document: dict[str, Any]) -> None:
-        """Write `run.json`: whole, or not at all."""
+        """Write `run.json`: whole, or not at all. Raises RunError."""
         draft = self.path / ".run.json.part"
-        draft.write_text(json.dumps(document, indent=2, default=_plain) + "\n", encoding="utf-8")
-        os.replace(draft, self.path / "run.json")
+        try:
+            draft.write_text(json.dumps(document, indent=2, default=_plain) + "\n", encoding="utf-8")
+            os.replace(draft, self.path / "run.json")
+        except OSError as error:
+            draft.unlink(missing_ok=True)
+            raise RunError(f"{self.path / 'run.json'}: cannot be written: {error.strerror}") from error
 
     @contextmanager
     def logging(self) -> Iterator[None]:
         """Write the log of the run to `run.log`."""
-        handler = logging.FileHandler(self.path / "run.log", encoding="utf-8", delay=True)
+        handler = _QuietFile(self.path / "run.log", encoding="utf-8", delay=True)
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
         handler.setLevel(logging.INFO)
         root = logging.getLogger()
@@ -75,6 +79,13 @@ class RunFolder:
         finally:
             root.removeHandler(handler)
             handler.close()
+
+
+class _QuietFile(logging.FileHandler):
+    """A log file that does not drown the errors of a full disk in tracebacks."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 -- logging's name
+        """Say nothing: what was to be logged is shown on the terminal too."""
 
 
 def _unused(folder: Path) -> Path:

@@ -17,7 +17,7 @@ from fls_flow.messages import Message
 from fls_flow.observe import NodeCounts
 from fls_flow.runtime import answer
 
-__all__ = ["NodeHost", "StreamInput", "made", "source_outputs"]
+__all__ = ["NodeHost", "StreamInput", "cause_of", "made", "source_outputs"]
 
 log = logging.getLogger(__name__)
 
@@ -69,6 +69,7 @@ class NodeHost:
         *,
         holds_window: bool,
         wait_s: float | None,
+        newest: bool = False,
         repeat: Mapping[str, Sequence[int]] | None = None,
     ) -> None:
         self.node, self.instance, self.link = node, instance, link
@@ -77,9 +78,11 @@ class NodeHost:
         self.index = 0
         self.last: int | None = None
         self.done = False
+        self.firing_since: float | None = None  # while the node is at work
         self.samples_taken: dict[str, array[int]] = {}  # by port, for each ping of a live run
         self._repeat = repeat or {}
-        self._holds_window, self._wait_s = holds_window, wait_s
+        self._holds_window, self._wait_s, self._newest = holds_window, wait_s, newest
+        self._ended: set[str] = set()
         self._modes = {wire.port: wire.mode for wire in node.inputs}
         self._plain = [port for port, mode in self._modes.items() if mode == "now"]
         self._values: dict[str, dict[int, Message]] = {
@@ -95,6 +98,7 @@ class NodeHost:
             self._values[item.port][item.index] = item.message
         elif isinstance(item, End):
             # what a node answered last can still be somebody's previous value one firing later
+            self._ended.add(item.port)
             last = item.last + (self._modes[item.port] == "previous")
             self.last = last if self.last is None else min(self.last, last)
         elif isinstance(item, Sample):
@@ -112,6 +116,8 @@ class NodeHost:
         """Fire once if all inputs of the ping are here; whether it fired."""
         if self.done:
             return False
+        if self._newest:
+            self._skip()
         if self.last is not None and self.index > self.last:
             self.finish()
             return False
@@ -119,6 +125,24 @@ class NodeHost:
             return False
         self._fire()
         return True
+
+    def _skip(self) -> None:
+        """Go on to the newest ping that is here whole; what was before it is dropped."""
+        whole = set.intersection(*(set(self._values[port]) for port in self._plain))
+        whole = {index for index in whole if index >= self.index}
+        if whole:
+            target = max(whole)
+        elif self.last is not None and self._ended >= set(self._plain):
+            target = self.last + 1  # nothing whole will come any more
+        else:
+            return
+        self.counts.dropped += target - self.index
+        self.index = target
+        for port, values in self._values.items():
+            oldest = target - (self._modes[port] == "previous")
+            for index in [one for one in values if one < oldest]:
+                del values[index]
+                self.inbox.release(port)
 
     def finish(self) -> None:
         """Tell the others that nothing more comes."""
@@ -159,13 +183,15 @@ class NodeHost:
         inputs = self._inputs()
         ping = inputs[self._plain[0]]
         before = self.instance.snapshot() if self._keeps_state else None
+        self.firing_since = time.monotonic()
         started = time.perf_counter()
         try:
             outputs = answer.named(self.node.kind, self.instance(**inputs))
             answer.same_ping(outputs.values(), ping.seq, ping.stamp_ns)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             outputs = self._failed(error, ping, before)
         self.counts.timed(time.perf_counter() - started)
+        self.firing_since = None
         for port, message in outputs.items():
             self.counts.given(port, message)
             self.link.send(self.node.name, port, self.index, message)
@@ -190,8 +216,10 @@ class NodeHost:
                 self.inbox.release(port)
         return inputs
 
-    def _failed(self, error: Exception, ping: Message, before: dict[str, Any] | None) -> dict[str, Message]:
-        cause = str(error) if isinstance(error, answer.AnswerError) else _cause(error)
+    def _failed(
+        self, error: BaseException, ping: Message, before: dict[str, Any] | None
+    ) -> dict[str, Message]:
+        cause = str(error) if isinstance(error, answer.AnswerError) else cause_of(error)
         failure = NodeError(self.node.name, self.index, ping.seq, cause)
         if self.node.on_error != "skip":
             raise failure from error
@@ -202,7 +230,8 @@ class NodeHost:
         return answer.empty(self.node.kind, ping.seq, ping.stamp_ns)
 
 
-def _cause(error: Exception) -> str:
+def cause_of(error: BaseException) -> str:
+    """An exception on one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
@@ -225,5 +254,5 @@ def made(node: Node, iterator: Iterator[Any], index: int) -> Any | None:
     """What the source makes next, None at its end; raises NodeError with the cause."""
     try:
         return next(iterator, None)
-    except Exception as error:
-        raise NodeError(node.name, index, None, _cause(error)) from error
+    except (Exception, SystemExit) as error:
+        raise NodeError(node.name, index, None, cause_of(error)) from error

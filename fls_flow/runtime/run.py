@@ -6,26 +6,30 @@ import logging
 import threading
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from fls_flow.deploy import LIVE_WINDOW, REPLAY_WINDOW
 from fls_flow.errors import FlsFlowError, NodeError
-from fls_flow.graph import Graph
+from fls_flow.graph import Graph, Node
+from fls_flow.links import Link
 from fls_flow.links.memory import MemoryLink, Tap
 from fls_flow.observe import NodeCounts
 from fls_flow.parameters import resolve
-from fls_flow.runtime.node import NodeHost
+from fls_flow.runtime.node import NodeHost, cause_of
 from fls_flow.runtime.source import ClockHost, StreamHost
 from fls_flow.runtime.threads import pin_this_thread, single_threaded
 
-__all__ = ["Options", "Report", "Run"]
+__all__ = ["Options", "Pace", "Report", "Run", "Share", "finished_pings", "holders", "pace_of"]
 
 log = logging.getLogger(__name__)
 
+SLOWEST_RATE, FASTEST_RATE = 1e-3, 1e6
+FIRST_PING = 10  # how much longer than later ones it may take: kernels are compiled then
+
 Host = NodeHost | ClockHost | StreamHost
-REPLAY_WINDOW, LIVE_WINDOW = 8, 2
 
 
 @dataclass(frozen=True)
@@ -35,8 +39,9 @@ class Options:
     window: pings in flight; None: 8 in replay, 2 in live. rate: replay at that multiple of the recording's
     pace, shedding like a live source; None: as fast as the nodes go. in_order: one node after the other in
     the calling thread. stream_wait_s: how long a live ping waits for a stream. grace_s: how long pings in
-    flight may take after a stop. samples_taken: by node and port, how many samples of a stream each ping of a
-    live run got, so that its replay repeats it.
+    flight may take after a stop. deadline_s: a node at work on one ping for so long has hung (on its
+    first, which compiles: ten times as long). samples_taken: by node and port, how many samples of a stream
+    each ping of a live run got, so that its replay repeats it.
     """
 
     window: int | None = None
@@ -44,13 +49,34 @@ class Options:
     in_order: bool = False
     stream_wait_s: float = 0.2
     grace_s: float = 1.5
+    deadline_s: float = 60.0
     samples_taken: Mapping[str, Mapping[str, Sequence[int]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.window is not None and self.window < 1:
             raise ValueError(f"window is {self.window}; at least one ping is in flight")
-        if self.rate is not None and not self.rate > 0.0:
-            raise ValueError(f"rate is {self.rate}; it is greater than 0")
+        if self.rate is not None and not SLOWEST_RATE <= self.rate <= FASTEST_RATE:
+            raise ValueError(f"rate is {self.rate:g}; it lies between {SLOWEST_RATE:g} and {FASTEST_RATE:g}")
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How many pings are in flight, and whether they come in real time; the same in all processes."""
+
+    window: int
+    live: bool
+
+
+@dataclass(frozen=True)
+class Share:
+    """The part of a graph that runs in this process, and its link to the others."""
+
+    nodes: frozenset[str]
+    link: Link
+    pace: Pace
+    on_failed: Callable[[FlsFlowError], None]
+    holders: tuple[str, ...]  # the nodes that hold the window
+    free: frozenset[str] = frozenset()  # the sinks that may lose pings
 
 
 @dataclass
@@ -63,11 +89,12 @@ class Report:
     counts: dict[str, NodeCounts]
     samples_taken: dict[str, dict[str, list[int]]] = field(default_factory=dict)  # of a live run
     error: FlsFlowError | None = None
+    after_first_s: float = 0.0  # from the end of the first ping, before which kernels are compiled
 
     @property
     def pings_per_s(self) -> float:
-        """Pings that went all the way through, per second."""
-        return self.pings / self.seconds if self.seconds > 0.0 else 0.0
+        """Pings that went all the way through after the first, per second."""
+        return (self.pings - 1) / self.after_first_s if self.pings > 1 and self.after_first_s > 0.0 else 0.0
 
     def summary(self) -> dict[str, Any]:
         """The report as plain values, for `run.json`."""
@@ -76,6 +103,7 @@ class Report:
             "error": str(self.error) if self.error else None,
             "pings": self.pings,
             "seconds": round(self.seconds, 3),
+            "pings_per_s": round(self.pings_per_s, 2),
             "counts": {name: counts.summary() for name, counts in self.counts.items()},
             "samples_taken": {name: ports for name, ports in self.samples_taken.items() if ports},
         }
@@ -85,7 +113,8 @@ class Run:
     """One run of a graph; `start()` returns when it has ended, `stop()` ends it from another thread.
 
     `instances` stand in for nodes that would otherwise be made from their parameters, `taps` see what outputs
-    give, `out` is the folder under which sinks write.
+    give, `out` is the folder under which sinks write. With a `share`, only some nodes run here, on its link;
+    without the clock among them, `stop()` ends what waits for other processes after the grace time.
     """
 
     def __init__(
@@ -97,21 +126,32 @@ class Run:
         instances: Mapping[str, Any] | None = None,
         taps: Mapping[tuple[str, str], Tap] | None = None,
         on_finished: Callable[[int], None] = lambda pings: None,
+        share: Share | None = None,
     ) -> None:
         self.id = uuid.uuid4().hex[:12]
         self.graph, self.options = graph, options or Options()
-        self._instances = _made(graph, out or Path.cwd(), instances or {})
-        clock = self._instances[graph.clock]
-        live = bool(getattr(clock, "live", False)) or self.options.rate is not None
-        self.window = self.options.window or (LIVE_WINDOW if live else REPLAY_WINDOW)
-        self._link = MemoryLink(graph, self.window, taps)
-        self._finished_pings = 0
+        here = [node for node in graph.nodes if share is None or node.name in share.nodes]
+        self._instances = _made(here, out or Path.cwd(), instances or {})
+        pace = share.pace if share else pace_of(self.options, self._instances[graph.clock])
+        self.window = pace.window
+        self._link: Link = share.link if share else MemoryLink(graph, self.window, taps)
+        self._on_failed = share.on_failed if share else _ignore
         self._error: FlsFlowError | None = None
         self._interrupted = False
         self._aborted = threading.Event()
         self._stuck: set[str] = set()
-        self._hosts = self._make_hosts(live, on_finished)
-        self._clock = next(host for host in self._hosts if isinstance(host, ClockHost))
+        self._stopping = threading.Event()
+        self._holders = share.holders if share else holders(graph)
+        self._free = share.free if share else frozenset()
+        self._first: float | None = None  # when the first ping had gone all the way through
+
+        def finished(pings: int) -> None:
+            if pings and self._first is None:
+                self._first = time.monotonic()
+            on_finished(pings)
+
+        self._hosts = self._make_hosts(here, pace.live, finished)
+        self._clock = next((host for host in self._hosts if isinstance(host, ClockHost)), None)
 
     @property
     def total(self) -> int | None:
@@ -129,15 +169,14 @@ class Run:
                 else:
                     self._in_threads()
         finally:
+            ended = time.monotonic()
             self._close()
-        while (item := self._clock.inbox.get(0.0)) is not None:
-            self._clock.take(item)  # what finished after the last ping had started
         status: Literal["finished", "interrupted", "failed"] = (
             "interrupted" if self._interrupted else "finished"
         )
         return Report(
             "failed" if self._error else status,
-            self._finished_pings,
+            finished_pings(self.graph, {host.node.name: host.counts for host in self._hosts}),
             time.monotonic() - began,
             {host.node.name: host.counts for host in self._hosts},
             {
@@ -146,41 +185,77 @@ class Run:
                 if isinstance(host, NodeHost)
             },
             self._error,
+            0.0 if self._first is None else ended - self._first,
         )
+
+    def hung(self) -> NodeError | None:
+        """A node that has been at work on one ping for too long."""
+        now = time.monotonic()
+        for host in self._hosts:
+            since = host.firing_since if isinstance(host, NodeHost) else None
+            allowed = self.options.deadline_s * (1 if host.index else FIRST_PING)
+            if since is not None and now - since > allowed:
+                return NodeError(host.node.name, host.index, None, f"no answer for {allowed:g} s")
+        return None
+
+    def status(self) -> dict[str, dict[str, Any]]:
+        """What each node has done so far and how much waits for it, as plain values."""
+        return {
+            host.node.name: {**host.counts.summary(), "kind": host.node.kind.name, "queue": len(host.inbox)}
+            for host in self._hosts
+        }
+
+    def fired(self) -> dict[str, int]:
+        """How many pings each node has done so far."""
+        return {host.node.name: host.counts.fired for host in self._hosts}
 
     def stop(self) -> None:
         """Start no further ping, finish those in flight, close. From any thread or a signal handler."""
         self._interrupted = True
-        self._clock.stop()
+        self._halt()
 
-    def _make_hosts(self, live: bool, on_finished: Callable[[int], None]) -> list[Host]:
-        holders = _holders(self.graph)
+    def fail(self, error: FlsFlowError) -> None:
+        """Note a failure from outside the nodes, such as of the link, and stop."""
+        self._error = self._error or error
+        self._halt()
+        self._on_failed(error)
 
-        def count(pings: int) -> None:
-            self._finished_pings = pings
-            on_finished(pings)
+    def _halt(self) -> None:
+        self._stopping.set()
+        if self._clock is not None:
+            self._clock.stop()
+
+    def _make_hosts(self, here: Sequence[Node], live: bool, on_finished: Callable[[int], None]) -> list[Host]:
 
         hosts: list[Host] = []
-        for node in self.graph.nodes:
+        for node in here:
             instance = self._instances[node.name]
             if node.name == self.graph.clock:
                 clock = ClockHost(
                     node,
                     instance,
                     self._link,
-                    holders=holders,
+                    holders=self._holders,
                     window=self.window,
                     rate=self.options.rate,
-                    on_finished=count,
+                    on_finished=on_finished,
                 )
                 hosts.append(clock)
             elif node.kind.source:
                 hosts.append(StreamHost(node, instance, self._link))
             else:
                 wait_s = self.options.stream_wait_s if live else None
-                holds = node.name in holders
+                holds = node.name in self._holders
                 taken = self.options.samples_taken.get(node.name)
-                host = NodeHost(node, instance, self._link, holds_window=holds, wait_s=wait_s, repeat=taken)
+                host = NodeHost(
+                    node,
+                    instance,
+                    self._link,
+                    holds_window=holds,
+                    wait_s=wait_s,
+                    newest=node.name in self._free,
+                    repeat=taken,
+                )
                 hosts.append(host)
         return hosts
 
@@ -211,8 +286,7 @@ class Run:
         """Nothing can fire: wait for the clock's next ping, or for a stream until its time is over."""
         waits = [host.patience_s() for host in self._hosts if not host.done]
         patience = min((wait for wait in waits if wait is not None), default=0.05)
-        item = self._clock.inbox.get(min(patience, 0.05))
-        if item is not None:
+        if self._clock is not None and (item := self._clock.inbox.get(min(patience, 0.05))) is not None:
             self._clock.take(item)
 
     def _in_threads(self) -> None:
@@ -230,7 +304,10 @@ class Run:
         for thread in threads:
             while thread.is_alive():
                 thread.join(0.05)  # short, so that a signal handler gets its turn
-                if deadline is None and self._clock.stopping.is_set():
+                if deadline is None and (hung := self.hung()) is not None:
+                    log.error("%s", hung)
+                    self.fail(hung)
+                if deadline is None and self._stopping.is_set():
                     deadline = time.monotonic() + self.options.grace_s
                 if deadline is not None and time.monotonic() > deadline:
                     self._aborted.set()
@@ -263,9 +340,8 @@ class Run:
     def _fail(self, host: Host, error: FlsFlowError) -> None:
         """Keep the first error; what was answered before it still goes to the end of the graph."""
         log.error("%s", error, exc_info=error.__cause__)
-        self._error = self._error or error
-        self._clock.stop()
         host.finish()
+        self.fail(error)
 
     def _close(self) -> None:
         for host in self._hosts:
@@ -274,8 +350,8 @@ class Run:
                 continue
             try:
                 getattr(host.instance, "close", _nothing)()
-            except Exception as error:
-                cause = f"while closing: {type(error).__name__}: {error}"
+            except (Exception, SystemExit) as error:
+                cause = f"while closing: {cause_of(error)}"
                 failure = NodeError(host.node.name, None, None, cause)
                 log.error("%s", failure, exc_info=error)
                 self._error = self._error or failure
@@ -287,17 +363,32 @@ def _nothing() -> None:
     """The `close` of a node that has none."""
 
 
-def _made(graph: Graph, out: Path, instances: Mapping[str, Any]) -> dict[str, Any]:
+def _ignore(error: FlsFlowError) -> None:
+    """Nobody else wants to know of a failure."""
+
+
+def _made(nodes: Iterable[Node], out: Path, instances: Mapping[str, Any]) -> dict[str, Any]:
     return {
         node.name: instances[node.name]
         if node.name in instances
         else node.kind.cls(**(resolve(node.parameters(), out) if node.is_sink else node.arguments))
-        for node in graph.nodes
+        for node in nodes
     }
 
 
-def _holders(graph: Graph) -> tuple[str, ...]:
+def holders(graph: Graph) -> tuple[str, ...]:
     """Who holds the window: the nodes after which nothing waits, which in a whole graph are its sinks."""
     awaited = {wire.node for node in graph.nodes for wire in node.inputs if wire.mode == "now"}
     sources = {node.name for node in graph.nodes if node.kind.source}
     return tuple(node.name for node in graph.nodes if node.name not in awaited | sources)
+
+
+def finished_pings(graph: Graph, counts: Mapping[str, NodeCounts]) -> int:
+    """How many pings went all the way through, as far as the holders among these nodes know."""
+    return min((counts[name].fired for name in holders(graph) if name in counts), default=0)
+
+
+def pace_of(options: Options, clock: Any) -> Pace:
+    """The window, and whether the pings come in real time, for the source instance `clock`."""
+    live = bool(getattr(clock, "live", False)) or options.rate is not None
+    return Pace(options.window or (LIVE_WINDOW if live else REPLAY_WINDOW), live)

@@ -208,7 +208,7 @@ class ClockHost(_SourceHost):
         if self._feed is None and (self._live or self._rate is not None):
             rate = None if self._live else self._rate
             self._feed = Feed(self.node, self._iterate(), self.inbox, places=1, rate=rate)
-        if self.index - self._window > min(self._finished.values()):
+        if self.index - self._window > min(self._finished.values(), default=self.index):
             return False
         outputs = self._next()
         if outputs is None:

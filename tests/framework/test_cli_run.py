@@ -136,7 +136,10 @@ def test_in_order_gives_the_same_bytes(command, tmp_path):
             "parameter 'pfa' is \"lots\"; it takes float",
         ),
         (["run", "surface_obstacle", "--use", "cfar=rayleig-cfar"], "did you mean 'rayleigh-cfar'?"),
-        (["run", "surface_obstacle", "--rate", "0"], "rate is 0.0; it is greater than 0"),
+        (["run", "surface_obstacle", "--rate", "0"], "rate is 0; it lies between 0.001 and 1e+06"),
+        (["run", "surface_obstacle", "--rate", "1e-300"], "rate is 1e-300; it lies between"),
+        (["run", "surface_obstacle", "--set", "csv.path=../../x.csv"], "lies outside the run's folder"),
+        (["runn"], "Did you mean 'run'?"),
         (["run", "surface_obstacle", "--window", "0"], "0 is not in the range"),
         (["run"], "Missing argument 'GRAPH'"),
         (["rum"], "No such command 'rum'"),
@@ -189,6 +192,15 @@ def test_a_node_that_raises_ends_the_run_with_one_line(command, plugins, tmp_pat
     assert said["status"] == "failed"
     assert "ZeroDivisionError" in said["error"]
     assert "Traceback" in (tmp_path / "o" / "run.log").read_text()
+
+
+def test_a_full_output_is_one_line(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*FLS_FLOW, "plugins"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == ["error: output: No space left on device"]
 
 
 def test_debug_shows_the_traceback(command, plugins):

@@ -246,7 +246,7 @@ def test_a_good_graph_is_in_an_order_in_which_nobody_waits_in_vain(loaded: Loade
         ("{use: cfar, in: {ping: sonar}, with: {pfaa: 0.1}}", "node 'cfar': kind 'cfar' has no parameter 'pfaa'; did you mean 'pfa'?"),
         ("{use: cfar, in: {ping: sonar}, with: {pfa: '0.1'}}", "node 'cfar': parameter 'pfa' is \"0.1\"; it takes float"),
         ("{use: cfar, in: {ping: sonar}, with: {pfa: 2}}", "node 'cfar': pfa is 2.0; it lies between 0 and 1"),
-        ("{use: cfar, in: {ping: sonar}, with: {mode: cells}}", "node 'cfar': parameter 'mode' is \"cells\"; it takes Literal['cell', 'order']"),
+        ("{use: cfar, in: {ping: sonar}, with: {mode: cells}}", "node 'cfar': parameter 'mode' is \"cells\"; it takes Literal['cell', 'order']; did you mean 'cell'?"),
         ("{use: cfar, in: {ping: sonar}, with: 3}", "node 'cfar': 'with' is 3; it maps names to values"),
         # errors
         ("{use: cfar, in: {ping: sonar}, on_error: ignore}", "node 'cfar': on_error is \"ignore\"; it is stop or skip"),

@@ -452,6 +452,16 @@ def test_an_exception_ends_the_run_and_what_came_before_it_goes_through(run, in_
 
 
 @SCHEDULES
+def test_a_node_that_exits_ends_the_run_and_not_the_program(run, in_order):
+    class Exits:
+        def __call__(self, ping: Ping, tracks: Tracks | None = None) -> Detections:
+            raise SystemExit(5)
+
+    report, _ = run(LOOP, in_order=in_order, instances={"det": Exits()})
+    assert str(report.error) == "node 'det' failed at ping seq 0 (index 0): SystemExit: 5"
+
+
+@SCHEDULES
 def test_an_exception_in_a_source_names_it(run, in_order):
     class Breaks:
         def __call__(self) -> Iterator[Ping]:
@@ -495,7 +505,7 @@ def test_an_error_while_closing_is_reported(run):
         def __call__(self, **ports: Message) -> None: ...
 
         def close(self) -> None:
-            raise OSError("disk full")
+            raise OSError("disk\nfull")
 
     report, _ = run(LOOP, instances={"out": Closing()})
     assert str(report.error) == "node 'out' failed: while closing: OSError: disk full"
@@ -570,6 +580,25 @@ def test_a_stop_finishes_what_is_in_flight(tmp_path, in_order):
     fired = {name: counts.fired for name, counts in report.counts.items()}
     assert set(fired.values()) == {report.pings}
     assert 20 <= report.pings < 60
+
+
+def test_a_node_that_hangs_is_named_and_ends_the_run(tmp_path):
+    path = tmp_path / "graph.yaml"
+    path.write_text(LOOP)
+    release = threading.Event()
+
+    class Hangs:
+        def __call__(self, ping: Ping, tracks: Tracks | None = None) -> Detections:
+            if ping.seq == 3:
+                release.wait(20.0)
+            return Detections(ping.seq, ping.stamp_ns)
+
+    graph = graphs.load(path, catalog=Catalog(KINDS))
+    report = Run(graph, Options(grace_s=0.1, deadline_s=0.3), instances={"det": Hangs()}).start()
+    release.set()
+    assert report.status == "failed"
+    assert str(report.error) == "node 'det' failed at index 2: no answer for 0.3 s"
+    assert report.counts["out"].fired == 2
 
 
 def test_a_node_that_hangs_does_not_hold_up_a_stop(tmp_path):

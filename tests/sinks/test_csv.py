@@ -1,6 +1,8 @@
 """The three CSV sinks: columns, exact numbers, empty pings, and whole files after a restart."""
 
 import csv
+import resource
+from collections import deque
 from pathlib import Path
 
 import numpy as np
@@ -218,6 +220,23 @@ def test_a_restart_after_the_last_ping_keeps_the_file(tmp_path, make_tracks):
     again.restore(snapshot)
     again.close()
     assert (tmp_path / "t.csv").read_bytes() == before
+
+
+def test_where_the_disk_is_full_the_last_row_is_whole(tmp_path, make_tracks):
+    path = tmp_path / "t.csv"
+    sink = TrackCsv(path)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, hard))
+    try:
+        with pytest.raises(InputError, match=r"t\.csv: cannot be written \(File too large\)"):
+            deque(map(sink, map(make_tracks, range(100))), maxlen=0)
+        sink.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    text = path.read_text()
+    assert 3000 < len(text) <= 4000
+    assert text.endswith("\n")
+    assert {len(row) for row in csv.reader(text.splitlines())} == {len(TRACKS.split(","))}
 
 
 def test_a_restart_on_a_shorter_file_is_refused(tmp_path, make_tracks):

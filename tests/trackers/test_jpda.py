@@ -146,14 +146,14 @@ def test_candidates_update_a_track(detections: Make) -> None:
 # --- ending -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("settings", [{}, BOX])
-def test_thirteen_misses_of_twenty_end_a_track_once(detections: Make, settings: dict[str, Any]) -> None:
+@pytest.mark.parametrize(("settings", "misses"), [({}, 16), ({"n2": 8}, 13), ({"preset": "paper"}, 13)])
+def test_misses_end_a_track_once(detections: Make, settings: dict[str, Any], misses: int) -> None:
     tracker = Jpda(**settings)
     for k in range(40):
         tracks = tracker(detections(k, 30.0, 0.1))
     assert confirmed(tracks).id.tolist() == [1]
-    statuses = [tracker(detections(40 + k, [], [])).status.tolist() for k in range(14)]
-    assert statuses == [[CONFIRMED]] * 12 + [[LOST], []]
+    statuses = [tracker(detections(40 + k, [], [])).status.tolist() for k in range(misses + 1)]
+    assert statuses == [[CONFIRMED]] * (misses - 1) + [[LOST], []]
 
 
 def test_ids_are_never_used_again(detections: Make) -> None:
@@ -421,7 +421,7 @@ def test_only_the_strongest_start_beyond_max_tracks(detections: Make) -> None:
         ("m1", 63),
         ("n1", 9),
         ("n2", 0),
-        ("m2", 7),
+        ("m2", 4),
         ("x_max_m", 0.0),
         ("speed_sd_mps", -1.0),
         ("start_score", np.inf),

@@ -9,10 +9,11 @@ import numpy.typing as npt
 
 from fls_flow.kernels import compiled
 
-__all__ = ["Clusters", "leader_clusters"]
+__all__ = ["Clusters", "gathered", "leader_clusters"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 class Clusters(NamedTuple):
@@ -21,6 +22,13 @@ class Clusters(NamedTuple):
     member_of: IntArray  # (n,) the cluster of each point
     leader: IntArray  # (n_clusters,) its strongest point, in the order of the points
     centre_m: FloatArray  # (n_clusters, 2) mean of its points
+
+    def select(self, which: BoolArray) -> tuple[Clusters, BoolArray]:
+        """The clusters that a mask selects, and the mask of the points that are in them."""
+        points = which[self.member_of]
+        cluster, point = np.cumsum(which) - 1, np.cumsum(points) - 1
+        leader = point[self.leader[which]]
+        return Clusters(cluster[self.member_of[points]], leader, self.centre_m[which]), points
 
 
 def leader_clusters(position_m: FloatArray, radius_m: float, angle_rad: float = 0.0) -> Clusters:
@@ -32,6 +40,21 @@ def leader_clusters(position_m: FloatArray, radius_m: float, angle_rad: float = 
     """
     farthest = float(np.hypot(position_m[:, 0], position_m[:, 1]).max()) if len(position_m) else 0.0
     return Clusters(*_lead(position_m, radius_m, angle_rad, max(radius_m, angle_rad * farthest)))
+
+
+def gathered(
+    clusters: Clusters, position_m: FloatArray, radius_m: float, angle_rad: float = 0.0
+) -> tuple[Clusters, IntArray]:
+    """The clusters of the points (n, 2), those one whose centres are one cluster, and what each went into.
+
+    When the strongest point of an object lies at its side, what is left of it beyond the radius leads another
+    cluster, and two tracks would share the object.
+    """
+    again = leader_clusters(clusters.centre_m, radius_m, angle_rad)
+    member_of, n = again.member_of[clusters.member_of], again.leader.size
+    total = np.stack([np.bincount(member_of, position_m[:, axis], n) for axis in (0, 1)], axis=1)
+    centre_m = total / np.bincount(member_of, minlength=n)[:, None]
+    return Clusters(member_of, clusters.leader[again.leader], centre_m), again.member_of
 
 
 @compiled

@@ -56,7 +56,7 @@ class ClutterMap:
         if image.shape != self._mean.shape:
             self._count, self._mean, self._sd = 0, image, np.full_like(image, self.floor)
         innovation = image - self._mean
-        if self._count == 1:
+        if self._count == 1 and image.size:
             self._sd[:] = max(self.floor, 1.4826 * float(np.median(np.abs(innovation))) / 2**0.5)
         height = np.maximum(innovation / self._sd, np.float32(0.0))
         if self._count < self.warm_up_pings:

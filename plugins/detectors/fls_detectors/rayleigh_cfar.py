@@ -34,6 +34,10 @@ class RayleighCfar:
     least that much. By default it is one step of integer amplitudes, else 0; a reference of zeros alone, with
     floor 0, decides nothing.
 
+    False alarms come at the rate `pfa` in Rayleigh clutter. A heavier tail gives far more of them, and they
+    hide objects by being taken for wakes: then lower `pfa` until few are left. On the simulated surface 1e-12
+    does in K clutter of shape 2 what 1e-6 does in Rayleigh clutter, and 1e-20 nearly so in measured clutter.
+
     Raises ValueError when `noisy` has another number of beams than the ping.
 
     Source: Karoui 2015, III-B and (4); reference window and widening are ours.

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fls_detectors.clusters import Clusters, leader_clusters
+from fls_detectors.clusters import Clusters, gathered, leader_clusters
 from fls_detectors.ships import placed_ships
 from fls_detectors.wakes import STEP, WakeWedges, wake_wedges
 from fls_flow import DetectionKind, Detections, Wakes, geometry, hookimpl
@@ -30,10 +30,11 @@ class WakeEnds:
     """Cluster centres outside wakes, both ends of each wake, and the ships whose noise fills beams.
 
     Detections join the nearest stronger one within `cluster_radius_m` that leads (across the line of sight
-    `cluster_radius_beams`, if that is more); a cluster's place is the mean of its members, its amplitude
-    their largest, its extent theirs, its covariance that of one cell. From each centre, wedges of 20 degrees
-    every 10 degrees are searched for wakes (`wakes.wake_wedges`). Centres in a wedge of a wake, and the
-    apexes of these wedges, are removed, except the ends (kind WAKE_END). Order: range, then bearing.
+    `cluster_radius_beams`, if that is more). From the centre of each cluster, wedges of 20 degrees every 10
+    degrees are searched for wakes (`wakes.wake_wedges`). Clusters in a wedge of a wake, and the apexes of
+    these wedges, are removed, except the ends (kind WAKE_END). What is left gives one measurement for all
+    clusters whose centres are within the same radius: its place is the mean of its members, its amplitude
+    their largest, its extent theirs, its covariance that of one cell. Order: range, then bearing.
     Detections that are not finite are dropped.
 
     Ships come last (kind SELF_NOISE). Candidates of one bearing are one ship. If a wake end stands
@@ -80,7 +81,7 @@ class WakeEnds:
             min_count=self.min_count,
             ratio=self.ratio,
         )
-        merged = _merged(points, clusters, wedges)
+        merged = _merged(points, clusters, wedges, self.cluster_radius_m, angle)
         if self_noise is not None and len(self_noise):
             merged = placed_ships(
                 merged,
@@ -112,25 +113,31 @@ def _strongest_first(echoes: Detections) -> Detections:
     return echoes.select(order[finite[order]])
 
 
-def _merged(points: Detections, clusters: Clusters, wedges: WakeWedges) -> Detections:
-    """One detection per cluster that is not covered by a wake."""
-    distance, bearing = geometry.to_polar(clusters.centre_m)
-    kind = points.kind[clusters.leader]
-    kind[wedges.centre[wedges.is_end]] = DetectionKind.WAKE_END
-    off = geometry.wrap(points.bearing_rad - bearing[clusters.member_of])
-    extent = np.stack([_spread(points.range_m, clusters), _spread(off, clusters)], axis=1)
+def _merged(
+    points: Detections, clusters: Clusters, wedges: WakeWedges, radius_m: float, angle_rad: float
+) -> Detections:
+    """One detection per cluster of those that are not covered by a wake."""
+    is_end = np.zeros(clusters.leader.size, bool)
+    is_end[wedges.centre[wedges.is_end]] = True
+    outside, shown = clusters.select(~wedges.covered)
+    points = points.select(shown)
+    objects, object_of = gathered(outside, points.position_m, radius_m, angle_rad)
+    distance, bearing = geometry.to_polar(objects.centre_m)
+    kind = points.kind[objects.leader]
+    kind[object_of[is_end[~wedges.covered]]] = DetectionKind.WAKE_END
+    off = geometry.wrap(points.bearing_rad - bearing[objects.member_of])
+    extent = np.stack([_spread(points.range_m, objects), _spread(off, objects)], axis=1)
     merged = replace(
         points,
         range_m=distance,
         bearing_rad=bearing,
-        amplitude=points.amplitude[clusters.leader],
+        amplitude=points.amplitude[objects.leader],
         extent=extent,
-        covariance=points.covariance[clusters.leader],
+        covariance=points.covariance[objects.leader],
         kind=kind,
         view=replace(points.view, bearing_rad=points.view.bearing_rad.copy()),
     )
-    order = np.lexsort((bearing, distance))
-    return merged.select(order[~wedges.covered[order]])
+    return merged.select(np.lexsort((bearing, distance)))
 
 
 def _spread(value: FloatArray, clusters: Clusters) -> FloatArray:

@@ -7,8 +7,8 @@ import io
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
 
 from fls_flow.errors import InputError
 
@@ -23,7 +23,7 @@ class CsvFile:
 
     path: Path
     columns: tuple[str, ...]
-    _file: BinaryIO | None = field(default=None, init=False, repr=False)
+    _file: FileIO | None = field(default=None, init=False, repr=False)
     _offset: int = field(default=0, init=False, repr=False)  # bytes on disk
     _resumed: bool = field(default=False, init=False, repr=False)
     _closed: bool = field(default=False, init=False, repr=False)
@@ -60,15 +60,25 @@ class CsvFile:
                 rows = [self.columns, *rows]
             text = io.StringIO(newline="")
             csv.writer(text, lineterminator="\n").writerows(rows)
-            self._file.write(text.getvalue().encode())
-            self._file.flush()
-            self._offset = self._file.tell()
+            self._put(self._file, text.getvalue().encode())
 
-    def _opened(self) -> BinaryIO:
+    def _put(self, file: FileIO, text: bytes) -> None:
+        """Write the whole text; where it does not fit, cut off what was, so that the last row is whole."""
+        end, rest = self._offset + len(text), text
+        try:
+            while rest:
+                rest = rest[file.write(rest) :]
+        except OSError:
+            file.truncate(self._offset)
+            file.seek(self._offset)
+            raise
+        self._offset = end
+
+    def _opened(self) -> FileIO:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if not self._resumed or (self._offset == 0 and not self.path.exists()):
-            return self.path.open("xb")
-        file = self.path.open("r+b")
+            return self.path.open("xb", buffering=0)
+        file = self.path.open("r+b", buffering=0)
         length = file.seek(0, io.SEEK_END)
         if length < self._offset:
             file.close()

@@ -172,9 +172,13 @@ def _panel(
 
 
 def _title(scene: Scene) -> str:
-    confirmed = np.count_nonzero(scene.track_status == TrackStatus.CONFIRMED)
-    counts = f"{len(scene.detection_m)} detections, {confirmed} confirmed tracks"
+    confirmed = int(np.count_nonzero(scene.track_status == TrackStatus.CONFIRMED))
+    counts = f"{_counted(len(scene.detection_m), 'detection')}, {_counted(confirmed, 'confirmed track')}"
     return f"ping {scene.seq}, {when(scene.stamp_ns)}\n{counts}"
+
+
+def _counted(n: int, what: str) -> str:
+    return f"{n} {what}" if n == 1 else f"{n} {what}s"
 
 
 def _image(axes: Axes, bar: Axes, image: Fan, lowest: float, highest: float, look: Look, pixels: int) -> None:

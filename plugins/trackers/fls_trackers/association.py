@@ -19,7 +19,7 @@ from fls_trackers.belief import propagate
 from fls_trackers.events import all_events, plan
 from fls_trackers.gating import Gated
 
-__all__ = ["Association", "associate"]
+__all__ = ["Association", "associate", "shared_out"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -58,15 +58,27 @@ def associate(
 
     Source: Karoui 2015 (20)-(22), (22) with (1 - p_d p_g) for a miss.
     """
-    ratio = p_d / (1.0 - p_d * p_g) * gated.likelihood / density[gated.places]
-    return Association(*_associate(gated.start, gated.places, ratio, rank, density.size, max_shared))
+    factor = p_d / (1.0 - p_d * p_g)
+    return Association(
+        *shared_out(gated.start, gated.places, gated.likelihood, density, factor, rank, max_shared)
+    )
 
 
 @compiled
-def _associate(
-    start: IntArray, places: IntArray, ratio: FloatArray, rank: IntArray, m: int, max_shared: int
+def shared_out(
+    start: IntArray,
+    places: IntArray,
+    likelihood: FloatArray,
+    density: FloatArray,
+    factor: float,
+    rank: IntArray,
+    max_shared: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray, int]:
-    n = rank.size
+    """The fields of `Association`, in machine code; `factor` is p_d / (1 - p_d p_g)."""
+    n, m = rank.size, density.size
+    ratio = np.empty(places.size)
+    for e in range(places.size):
+        ratio[e] = factor * likelihood[e] / density[places[e]]
     beta, beta_none, taken = np.zeros(places.size), np.ones(n), np.zeros(m)
     claimed, in_gate, live = np.zeros(m, np.bool_), np.zeros(n, np.bool_), np.zeros(places.size, np.bool_)
     budget = np.array([MAX_STEPS, MAX_MESSAGES])

@@ -8,6 +8,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from fls_flow.kernels import compiled
+
 __all__ = ["Clutter", "ClutterDensity", "cell_density"]
 
 FloatArray = npt.NDArray[np.float64]
@@ -16,12 +18,18 @@ Clutter = Literal["adaptive", "cell", "paper"]
 FLOOR_PER_M2 = 1e-12  # keeps likelihood ratios finite
 
 
-def cell_density(range_m: FloatArray, p_fa: float, cell_m: float, spacing_rad: float) -> FloatArray:
-    """False alarms per m^2 of a detector with `p_fa` per cell: p_fa / (dr r db), at ranges (m,).
+@compiled
+def cell_density(
+    range_m: FloatArray, p_fa: float, cell_m: float, spacing_rad: float, least: float = 0.0
+) -> FloatArray:
+    """False alarms per m^2 of a detector with `p_fa` per cell, at ranges (m,): p_fa / (dr r db), or `least`.
 
     Source: Karoui 2015 (22), whose lambda = p_fa counts per cell, not per m^2.
     """
-    return p_fa / (cell_m * spacing_rad * np.maximum(range_m, cell_m))
+    density = np.empty(range_m.size)
+    for j in range(range_m.size):
+        density[j] = max(p_fa / (cell_m * spacing_rad * max(range_m[j], cell_m)), least)
+    return density
 
 
 @dataclass
@@ -49,12 +57,12 @@ class ClutterDensity:
         """Densities (m,), per m^2; an `area_m2` of 0: take the sector in which anything was seen so far."""
         if self.kind == "paper":
             return np.full(range_m.size, self.p_fa)
-        cell = cell_density(range_m, self.p_fa, cell_m, spacing_rad)
+        least = FLOOR_PER_M2
         if self.kind == "adaptive":
             area = area_m2 if area_m2 > 0.0 else self._area_seen(range_m, bearing_rad)
             if self._counts and area > 0.0:
-                cell = np.maximum(cell, sum(self._counts) / (len(self._counts) * area))
-        return np.maximum(cell, FLOOR_PER_M2)
+                least = max(least, sum(self._counts) / (len(self._counts) * area))
+        return cell_density(range_m, self.p_fa, cell_m, spacing_rad, least)
 
     def count(self, unclaimed: int) -> None:
         """Note the number of measurements of a ping that lay in no track's gate."""

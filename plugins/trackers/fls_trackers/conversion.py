@@ -14,7 +14,7 @@ import numpy.typing as npt
 from fls_flow.geometry import Pose
 from fls_flow.kernels import compiled
 
-__all__ = ["convert", "noise_at"]
+__all__ = ["convert", "noise_at", "noise_of"]
 
 FloatArray = npt.NDArray[np.float64]
 Terms = tuple[float, float, float, float]
@@ -45,7 +45,7 @@ def noise_at(state: FloatArray, range_sd_m: float, bearing_sd_rad: float, pose: 
     Evaluated at the prediction, not at the measurement, one R serves all measurements in a track's gate and
     the gain does not depend on their noise.
     """
-    R: FloatArray = _noise_at(state, range_sd_m, bearing_sd_rad, pose.north_m, pose.east_m, pose.heading_rad)
+    R: FloatArray = noise_of(state, range_sd_m, bearing_sd_rad, pose.north_m, pose.east_m, pose.heading_rad)
     return R
 
 
@@ -76,9 +76,10 @@ def _convert(
 
 
 @compiled
-def _noise_at(
+def noise_of(
     state: FloatArray, sd: float, sb: float, north: float, east: float, heading: float
 ) -> FloatArray:
+    """`noise_at` in machine code."""
     n = state.shape[0]
     R = np.empty((n, 2, 2))
     s = sb * sb

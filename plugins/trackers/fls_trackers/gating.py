@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from fls_flow.kernels import compiled
 
-__all__ = ["Gated", "gate"]
+__all__ = ["Gated", "gate", "pairs_in_gates"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -29,13 +29,14 @@ def gate(state: FloatArray, covariance: FloatArray, R: FloatArray, y: FloatArray
 
     Source: Karoui 2015, section IV-B.
     """
-    return Gated(*_gate(state, covariance, R, y, gamma))
+    return Gated(*pairs_in_gates(state, covariance, R, y, gamma))
 
 
 @compiled
-def _gate(
+def pairs_in_gates(
     state: FloatArray, covariance: FloatArray, R: FloatArray, y: FloatArray, gamma: float
 ) -> tuple[IntArray, IntArray, FloatArray]:
+    """The fields of `Gated`, in machine code."""
     n, m = state.shape[0], y.shape[0]
     start = np.zeros(n + 1, np.int64)
     room = 4 * n + m

@@ -12,7 +12,15 @@ from fls_flow import TrackStatus
 from fls_flow.kernels import compiled
 from fls_trackers.track_bank import TrackBank, new_tracks
 
-__all__ = ["BoxInitiator", "BoxStarts", "box_tracks", "distinct", "several_in_a_beam", "strongest"]
+__all__ = [
+    "BoxInitiator",
+    "BoxStarts",
+    "box_tracks",
+    "by_place",
+    "distinct",
+    "several_in_a_beam",
+    "strongest",
+]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -144,6 +152,14 @@ def several_in_a_beam(bearing_rad: FloatArray, candidate: BoolArray, spacing_rad
     apart = np.abs(bearing_rad[where, None] - bearing_rad[None, where])
     several[where] = np.count_nonzero(apart < spacing_rad, axis=1) > 1
     return several
+
+
+@compiled
+def by_place(free: BoolArray, range_m: FloatArray, bearing_rad: FloatArray) -> IntArray:
+    """Which detections are `free` (m,), by range, then bearing, in whatever order they came."""
+    which = np.flatnonzero(free)
+    which = which[np.argsort(bearing_rad[which], kind="mergesort")]
+    return which[np.argsort(range_m[which], kind="mergesort")]
 
 
 def strongest(which: IntArray, amplitude: FloatArray, n: int) -> IntArray:

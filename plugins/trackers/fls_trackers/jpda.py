@@ -13,13 +13,12 @@ import numpy.typing as npt
 from fls_flow import DetectionKind, Detections, Tracks, TrackStatus, View, hookimpl
 from fls_flow.geometry import Pose, sensor_pose
 from fls_flow.messages import Frame
-from fls_trackers.association import Association, associate
 from fls_trackers.clutter import ClutterDensity
-from fls_trackers.conversion import convert, noise_at
-from fls_trackers.gating import gate
-from fls_trackers.initiation import BoxInitiator, box_tracks, several_in_a_beam, strongest
-from fls_trackers.kalman import predict, update
-from fls_trackers.life import Rules, judge, settle
+from fls_trackers.conversion import convert
+from fls_trackers.initiation import BoxInitiator, box_tracks, by_place, several_in_a_beam, strongest
+from fls_trackers.kalman import predict
+from fls_trackers.life import Rules, settle
+from fls_trackers.scan import Scanned, scan
 from fls_trackers.settings import RECOMMENDED, Grain, Settings, grain_of, settings_of
 from fls_trackers.track_bank import TrackBank, new_tracks
 
@@ -33,6 +32,7 @@ log = logging.getLogger(__name__)
 
 # As numbers: looking an enumeration's member up costs more than the comparison with it.
 TENTATIVE, LOST = int(TrackStatus.TENTATIVE), int(TrackStatus.LOST)
+ORIGIN = Pose()
 SELF_NOISE = int(DetectionKind.SELF_NOISE)
 
 
@@ -125,22 +125,21 @@ class Jpda:
         dt_s = self._elapsed_s(detections)
         grain, pose = self._grain_of(detections.view), self._pose(detections)
         y, R0 = convert(
-            detections.range_m, detections.bearing_rad, grain.range_sd_m, grain.bearing_sd_rad, pose or Pose()
+            detections.range_m, detections.bearing_rad, grain.range_sd_m, grain.bearing_sd_rad, pose or ORIGIN
         )
         if not math.isfinite(y.sum()):
             raise ValueError(_not_finite(detections))
         bank = self._bank
-        if len(bank) and dt_s > 0.0:
-            predicted = predict(bank.state, bank.covariance, dt_s, self._settings.sigma_v_mps2)
-            bank = TrackBank(predicted[0], predicted[1], bank.ledger)
         self._stamp_ns = detections.stamp_ns
         if pose is None:
-            bank, keep = self._unseen(bank)
+            bank, keep = self._unseen(bank, dt_s)
             starts = TrackBank()
         else:
-            bank, found = self._updated(bank, detections, y, pose, grain)
-            bank, keep = self._settled(bank, found)
-            starts = self._starts(detections, y, R0, found, max(0, self.max_tracks - int(keep.sum())))
+            found = self._scanned(detections, y, dt_s, pose, grain)
+            bank, keep = found.bank, found.keep
+            starts = self._starts(
+                detections, y, R0, found, max(0, self.max_tracks - int(np.count_nonzero(keep)))
+            )
         return self._answer(bank, keep, starts, detections)
 
     def _elapsed_s(self, detections: Detections) -> float:
@@ -170,7 +169,7 @@ class Jpda:
     def _pose(self, detections: Detections) -> Pose | None:
         """The sensor's pose in the frame of the tracks; None when that is `ned` and it is not known."""
         if self.frame == "sensor":
-            return Pose()
+            return ORIGIN
         view = detections.view
         if view.nav is not None:
             north, east, _ = view.nav.position_m
@@ -181,60 +180,31 @@ class Jpda:
         )
         return None
 
-    def _updated(
-        self, bank: TrackBank, detections: Detections, y: FloatArray, pose: Pose, grain: Grain
-    ) -> tuple[TrackBank, Association]:
-        s = self._settings
-        R = noise_at(bank.state, grain.range_sd_m, grain.bearing_sd_rad, pose)
-        gated = gate(bank.state, bank.covariance, R, y, s.gamma)
+    def _scanned(
+        self, detections: Detections, y: FloatArray, dt_s: float, pose: Pose, grain: Grain
+    ) -> Scanned:
         density = self._clutter.at(
             detections.range_m, detections.bearing_rad, grain.cell_m, grain.spacing_rad, grain.area_m2
         )
-        tentative = bank.ledger["status"] == TENTATIVE
-        found = associate(
-            gated,
-            density,
-            tentative.astype(np.int64),
-            p_d=s.p_d,
-            p_g=s.gate_probability,
-            max_shared=self.max_shared,
-        )
+        found = scan(self._bank, y, density, dt_s, grain, pose, self._settings, self._rules, self.max_shared)
         if found.approximate:
             self._warn_once(
                 f"ping seq {detections.seq}: tracks share more than {self.max_shared} detections; "
                 "probabilities of such clusters come from belief propagation"
             )
-        state, covariance = update(
-            bank.state, bank.covariance, R, y, gated.start, gated.places, found.beta, found.beta_none
-        )
-        return TrackBank(state, covariance, bank.ledger), found
+        return found
 
-    def _settled(self, bank: TrackBank, found: Association) -> tuple[TrackBank, BoolArray]:
-        """The tracks with their counts and statuses after the update, and which of them go on."""
-        s = self._settings
-        ledger, keep = judge(
-            bank.ledger,
-            bank.state,
-            bank.covariance,
-            found.in_gate,
-            found.beta_none,
-            1.0 - s.p_d * s.gate_probability,
-            s.hit == "probable",
-            s.merge_pings,
-            self._rules,
-        )
-        return TrackBank(bank.state, bank.covariance, ledger), keep
-
-    def _unseen(self, bank: TrackBank) -> tuple[TrackBank, BoolArray]:
+    def _unseen(self, bank: TrackBank, dt_s: float) -> tuple[TrackBank, BoolArray]:
         """The predicted tracks after a ping that could not be placed, and which of them go on."""
+        state, covariance = predict(bank.state, bank.covariance, dt_s, self._settings.sigma_v_mps2)
         ledger = bank.ledger.copy()
         ledger["age"] += 1
         none = np.zeros(len(bank), bool)
-        ledger, keep = settle(ledger, none, bank.covariance, self._rules)
-        return TrackBank(bank.state, bank.covariance, ledger), keep
+        ledger, keep = settle(ledger, none, covariance, self._rules)
+        return TrackBank(state, covariance, ledger), keep
 
     def _starts(
-        self, detections: Detections, y: FloatArray, R0: FloatArray, found: Association, room: int
+        self, detections: Detections, y: FloatArray, R0: FloatArray, found: Scanned, room: int
     ) -> TrackBank:
         """The tracks that begin in this ping, at most `room`."""
         s = self._settings
@@ -252,17 +222,18 @@ class Jpda:
         free = found.taken <= 0.5
         if ambiguous is not None:
             free &= ~ambiguous
-        which = np.flatnonzero(free)
+        which = by_place(free, detections.range_m, detections.bearing_rad)
         if which.size > room:
-            which = strongest(which, detections.amplitude, room)
+            which = np.sort(which)
+            free = np.zeros_like(free)
+            free[strongest(which, detections.amplitude, room)] = True
+            which = by_place(free, detections.range_m, detections.bearing_rad)
             self._warn_once(
                 f"ping seq {detections.seq}: only the strongest detections start tracks, so that "
                 f"there are at most {self.max_tracks} (max_tracks)"
             )
-        # By place, so that ids do not depend on the order of the detections.
-        which = which[np.lexsort((detections.bearing_rad[which], detections.range_m[which]))]
         speeds = (s.speed_sd_mps, s.speed_sd_mps)
-        return self._numbered(new_tracks(y[which], R0[which], speeds, TENTATIVE))
+        return self._numbered(new_tracks(y, R0, speeds, TENTATIVE, which))
 
     def _ambiguous(self, detections: Detections) -> BoolArray | None:
         """Which detections are among several candidates in one beam and so start nothing; None: none are."""
@@ -281,10 +252,10 @@ class Jpda:
         """The tracks that go on, are lost, or begin; the lost ones are then forgotten."""
         lost = bank.ledger["status"] == LOST
         if lost.any():
-            shown = bank.select(keep | lost).joined(starts)
-            self._bank = bank.select(keep).joined(starts)
+            shown = bank.renewed(keep | lost, starts)
+            self._bank = bank.renewed(keep, starts)
         else:
-            self._bank = shown = bank.select(keep).joined(starts)
+            self._bank = shown = bank.renewed(keep, starts)
         return shown.message(detections.seq, detections.stamp_ns, self.frame)
 
     def _warn_once(self, text: str) -> None:

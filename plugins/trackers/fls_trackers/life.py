@@ -11,7 +11,7 @@ import numpy.typing as npt
 from fls_flow.kernels import compiled
 from fls_trackers.track_bank import MAX_WINDOW, Ledger
 
-__all__ = ["Rules", "count", "judge", "settle", "suspect"]
+__all__ = ["TENTATIVE", "Rules", "count", "judge", "settle", "suspect"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

@@ -40,7 +40,7 @@ class Settings:
     n1: int = 6
     start_score: float = 8.0
     m2: int = 20
-    n2: int = 8
+    n2: int = 5  # a boat that crosses a wake is seen in fewer than half of the pings
     x_max_m: float | None = None
     y_max_m: float | None = None
     speed_sd_mps: float = 1.0
@@ -101,6 +101,7 @@ PAPER = Settings(
     hit="gated",
     m1=20,
     n1=16,
+    n2=8,
     start_score=-math.inf,
     merge_pings=0,
     start_from_candidates=True,

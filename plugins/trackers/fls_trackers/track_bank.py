@@ -9,11 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_flow import Tracks, TrackStatus
+from fls_flow.kernels import compiled
 from fls_flow.messages import Frame
 
 __all__ = ["LEDGER", "MAX_WINDOW", "TrackBank", "new_tracks"]
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 Ledger = npt.NDArray[np.void]
 
 MAX_WINDOW = 62  # pings that the bits of `history` can hold
@@ -63,14 +66,21 @@ class TrackBank:
 
     def joined(self, other: TrackBank) -> TrackBank:
         """These tracks, then the younger ones of `other`."""
-        n = len(self)
-        # Filled by hand: numpy takes ten times as long to concatenate records.
-        ledger = np.empty(n + len(other), LEDGER)
-        ledger[:n], ledger[n:] = self.ledger, other.ledger
+        return self.renewed(np.ones(len(self), np.bool_), other)
+
+    def renewed(self, keep: BoolArray, other: TrackBank) -> TrackBank:
+        """Those of these tracks that `keep` (n,) selects, then the younger ones of `other`."""
+        mine, theirs = self, other
         return TrackBank(
-            np.concatenate([self.state, other.state]),
-            np.concatenate([self.covariance, other.covariance]),
-            ledger,
+            *_renewed(
+                mine.state,
+                mine.covariance,
+                mine.ledger,
+                keep,
+                theirs.state,
+                theirs.covariance,
+                theirs.ledger,
+            )
         )
 
     def message(self, seq: int, stamp_ns: int, frame: Frame) -> Tracks:
@@ -104,17 +114,63 @@ class TrackBank:
 
 
 def new_tracks(
-    position: FloatArray, noise: FloatArray, speed_sd_mps: tuple[float, float], status: int
+    position: FloatArray,
+    noise: FloatArray,
+    speed_sd_mps: tuple[float, float],
+    status: int,
+    which: IntArray | None = None,
 ) -> TrackBank:
     """Tracks that begin at rest at positions (n, 2) known with `noise` (n, 2, 2), after one update; no ids.
 
-    P0 = blkdiag(R_0, diag(speed_sd^2)).
+    P0 = blkdiag(R_0, diag(speed_sd^2)). `which` (k,) chooses among the positions; without it, all.
     """
-    n = position.shape[0]
-    state, covariance, ledger = np.zeros((n, 4)), np.zeros((n, 4, 4)), np.zeros(n, LEDGER)
-    state[:, :2], covariance[:, :2, :2] = position, noise
-    covariance[:, 2, 2], covariance[:, 3, 3] = speed_sd_mps[0] ** 2, speed_sd_mps[1] ** 2
-    ledger["status"] = status
-    for name in ("hits", "history", "span"):
-        ledger[name] = 1
+    chosen = np.arange(position.shape[0]) if which is None else which
+    ledger = np.zeros(chosen.size, LEDGER)
+    state, covariance = _begun(position, noise, chosen, speed_sd_mps[0], speed_sd_mps[1], status, ledger)
     return TrackBank(state, covariance, ledger)
+
+
+@compiled
+def _begun(
+    position: FloatArray,
+    noise: FloatArray,
+    chosen: IntArray,
+    sd_x: float,
+    sd_y: float,
+    status: int,
+    ledger: Ledger,
+) -> tuple[FloatArray, FloatArray]:
+    n = chosen.size
+    state, covariance = np.zeros((n, 4)), np.zeros((n, 4, 4))
+    for t in range(n):
+        state[t, :2], covariance[t, :2, :2] = position[chosen[t]], noise[chosen[t]]
+        covariance[t, 2, 2], covariance[t, 3, 3] = sd_x * sd_x, sd_y * sd_y
+        row = ledger[t]
+        row.status = status
+        row.hits = row.history = row.span = 1
+    return state, covariance
+
+
+@compiled
+def _renewed(
+    state: FloatArray,
+    covariance: FloatArray,
+    ledger: Ledger,
+    keep: BoolArray,
+    more_state: FloatArray,
+    more_covariance: FloatArray,
+    more_ledger: Ledger,
+) -> tuple[FloatArray, FloatArray, Ledger]:
+    k, n = 0, more_ledger.size
+    for t in range(keep.size):
+        k += keep[t]
+    x, P = np.empty((k + n, 4)), np.empty((k + n, 4, 4))
+    rows = np.empty(k + n, ledger.dtype)
+    i = 0
+    for t in range(keep.size):
+        if keep[t]:
+            x[i], P[i], rows[i] = state[t], covariance[t], ledger[t]
+            i += 1
+    for t in range(n):
+        x[k + t], P[k + t], rows[k + t] = more_state[t], more_covariance[t], more_ledger[t]
+    return x, P, rows

@@ -1,0 +1,183 @@
+"""Whole trackers, with their initiation, beside Stone Soup's: time and errors on the same detections.
+
+    pip install -e ".[bench]" && python -m benchmarks.tracking [--seeds 5] [--soup-seeds 1] [--scene few]
+
+Each seed draws detections once; every tracker gets them, writes the CSV contract, and is scored by
+`fls_flow.evaluate` (OSPA and GOSPA with p = 1, c = 10 m; a target is followed within 4 m). Times are CPU time
+of the thread per scan. Shown are the median over the seeds and, in brackets, the worst. Ours runs with its
+recommended preset and, in both scenes, the noise of the scene and what `OUR_SETTINGS` says; Stone Soup's
+settings stand in `tracking_stonesoup.SETTINGS`. Its trackers are slow: they may take fewer of the same seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from benchmarks import tracking_stonesoup as soup
+from benchmarks.tracking_scenes import BEARING_SD_RAD, RANGE_SD_M, SCENES, Scene, Seen
+from fls_flow import Tracks
+from fls_flow.catalog import Catalog
+from fls_flow.evaluate import Settings, score
+
+Tracking = Callable[[Scene, Sequence[Seen]], tuple[list[Tracks], list[float]]]
+
+OURS = {"JPDA": "jpda", "PDA": "pda", "GNN": "gnn", "NNKF": "nnkf"}  # those that are installed
+OUR_SETTINGS: dict[str, Any] = {"speed_sd_mps": 0.5, "n1": 5}  # slow targets, few false detections
+SCORES = {
+    "gospa": "GOSPA m",
+    "ospa": "OSPA m",
+    "continuity": "continuity",
+    "false_tracks": "false",
+    "redundant_tracks": "redundant",
+    "id_switches": "switches",
+}
+SMALLER_IS_WORSE = ("continuity",)
+SCORING = Settings(cutoff_m=10.0, order=1.0, gate_m=4.0)
+TUNING_SEEDS = (1001, 1002)
+GRID = {
+    "min_points": (4, 5, 6, 8),
+    "missed_distance": (3.0, 4.0),
+    "hold_steps": (2, 4),
+    "delete_steps": (8, 15),
+}
+
+
+@dataclass
+class Outcome:
+    """One tracker on one run."""
+
+    mean_ms: float
+    worst_ms: float
+    scores: dict[str, float]
+
+
+def ours(kind: str) -> Tracking:
+    """Our tracker of that kind, with the scene's noise."""
+    cls = Catalog().load(kind).cls
+
+    def run(scene: Scene, seen: Sequence[Seen]) -> tuple[list[Tracks], list[float]]:
+        noise = {"sigma_d_m": RANGE_SD_M, "sigma_delta_deg": float(np.rad2deg(BEARING_SD_RAD))}
+        tracker = cls(**noise, **OUR_SETTINGS)
+        found, times = [], []
+        for one in seen:
+            began = time.thread_time()
+            tracks = tracker(one.detections)
+            times.append(time.thread_time() - began)
+            found.append(tracks)
+        return found, times
+
+    return run
+
+
+def theirs(method: str, settings: soup.SoupSettings | None = None) -> Tracking:
+    """Stone Soup's tracker."""
+    names = {scene.name: name for name, scene in SCENES.items()}
+
+    def run(scene: Scene, seen: Sequence[Seen]) -> tuple[list[Tracks], list[float]]:
+        return soup.track(method, scene, seen, settings or soup.SETTINGS[names[scene.name]])
+
+    return run
+
+
+def outcome(tracking: Tracking, scene: Scene, seen: Sequence[Seen]) -> Outcome:
+    """Time and scores of a tracker on the same detections as all others."""
+    found, times = tracking(scene, seen)
+    with TemporaryDirectory() as folder:
+        files = {kind: Path(folder) / f"{kind}.csv" for kind in ("track-csv", "truth-csv")}
+        sinks = {kind: Catalog().load(kind).cls(path=path) for kind, path in files.items()}
+        for one, tracks in zip(seen, found, strict=True):
+            sinks["track-csv"](tracks)
+            sinks["truth-csv"](one.truth)
+        for sink in sinks.values():
+            sink.close()
+        overall = score(files["track-csv"], files["truth-csv"], settings=SCORING).overall
+    return Outcome(1e3 * float(np.mean(times)), 1e3 * max(times), {name: overall[name] for name in SCORES})
+
+
+def shown(values: Sequence[float], *, least: bool = False) -> str:
+    """The median and the worst."""
+    return f"{statistics.median(values):.3g} ({min(values) if least else max(values):.3g})"
+
+
+def row(outcomes: list[Outcome], reference_ms: float) -> list[str]:
+    """The cells of one tracker."""
+    mean = statistics.median(one.mean_ms for one in outcomes)
+    cells = [str(len(outcomes)), f"{mean:.4g}", f"{max(one.worst_ms for one in outcomes):.3g}"]
+    cells.append(f"{mean / reference_ms:,.0f}x")
+    scores = {name: [one.scores[name] for one in outcomes] for name in SCORES}
+    return cells + [shown(values, least=name in SMALLER_IS_WORSE) for name, values in scores.items()]
+
+
+def compare(scene: Scene, methods: Sequence[str], seeds: int, soup_seeds: int) -> Table:
+    """The table of one scene."""
+    drawn = [scene.draw(seed) for seed in range(seeds)]
+    installed = Catalog().names()
+    trackers = {
+        f"fls_flow {name}": (ours(kind), seeds) for name, kind in OURS.items() if kind in installed
+    } | {f"Stone Soup {name}": (theirs(name), soup_seeds) for name in methods}
+    table = Table(title=f"{scene.name}, {scene.scans} scans: median of the seeds (worst)")
+    for name in ("tracker", "seeds", "ms/scan", "max ms", "time", *SCORES.values()):
+        table.add_column(name, justify="left" if name == "tracker" else "right")
+    reference_ms = float("nan")
+    for name, (tracking, count) in trackers.items():
+        tracking(scene, drawn[0][:20] if name.startswith("Stone") else drawn[0])  # compiles and loads
+        outcomes = [outcome(tracking, scene, seen) for seen in drawn[:count]]
+        if np.isnan(reference_ms):
+            reference_ms = statistics.median(one.mean_ms for one in outcomes)
+        table.add_row(name, *row(outcomes, reference_ms))
+    return table
+
+
+def tune(name: str, method: str) -> None:
+    """Print Stone Soup's best settings on seeds of their own."""
+    scene = SCENES[name]
+    drawn = [scene.draw(seed) for seed in TUNING_SEEDS]
+    results: list[tuple[float, Any]] = []
+    for values in itertools.product(*GRID.values()):
+        chosen: dict[str, Any] = dict(zip(GRID, values, strict=True))
+        settings = dataclasses.replace(soup.SoupSettings(), **chosen)
+        found = [outcome(theirs(method, settings), scene, seen) for seen in drawn]
+        results.append((float(np.mean([one.scores["gospa"] for one in found])), settings))
+    for gospa, settings in sorted(results, key=lambda one: one[0])[:5]:
+        print(f"{name} {method} GOSPA {gospa:.3f} m: {settings}")
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--soup-seeds", type=int, default=3)
+    parser.add_argument("--scene", choices=list(SCENES), help="only this one")
+    parser.add_argument(
+        "--method", choices=list(soup.METHODS), action="append", help="only these of Stone Soup"
+    )
+    parser.add_argument("--tune", action="store_true", help="search Stone Soup's settings instead")
+    options = parser.parse_args()
+    with threadpool_limits(1):
+        for name in [options.scene] if options.scene else SCENES:
+            # Its plain JPDA enumerates all joint events: in the dense scene it does not end.
+            usual = [method for method in soup.METHODS if name == "few" or method != "JPDA"]
+            if options.tune:
+                for method in options.method or ["GNN"]:
+                    tune(name, method)
+                continue
+            table = compare(SCENES[name], options.method or usual, options.seeds, options.soup_seeds)
+            Console(width=150).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+"""fls_flow's own link: messages of `wire` in shared memory, numbered and acknowledged, a window of eight.
+
+Two processes of one graph, without the runtime around them: the source starts a message when the sink has
+finished the one eight before it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import zenoh
+
+from benchmarks.transport_peers.over_zenoh import session
+from benchmarks.transport_peers.rig import Bytes, Setting, Tally
+from fls_flow import HydrophoneBlock
+from fls_flow.catalog import describe
+from fls_flow.graph import Graph
+from fls_flow.graph.model import Input, Node
+from fls_flow.links import Delivery, Finished
+from fls_flow.links.zenoh import Placement, ZenohLink
+
+__all__ = ["publish", "receive", "send", "subscribe"]
+
+WINDOW = 8
+
+
+@dataclass
+class Array:
+    """Where the messages come from; never called here."""
+
+    def __call__(self) -> Iterator[HydrophoneBlock]:
+        """Give nothing."""
+        return iter(())
+
+
+@dataclass
+class Taker:
+    """Where they go; never called here."""
+
+    def __call__(self, block: HydrophoneBlock) -> None:
+        """Take one."""
+
+
+def send(setting: Setting) -> None:
+    """Send each array as a message's samples."""
+    with session(setting, listen=True) as opened:
+        publish(opened, setting)
+
+
+def publish(opened: zenoh.Session, setting: Setting) -> None:
+    """The same over a session that is there."""
+    link = _link(opened, setting, "source")
+    setting.wait_ready()
+    while link.unmatched():
+        time.sleep(0.005)
+    inbox, finished = link.inbox("source"), dict.fromkeys(_takers(setting), -1)
+    index = 0
+    for item in setting.messages():
+        if isinstance(item, float):
+            time.sleep(item)
+            continue
+        while min(finished.values()) < index - WINDOW:
+            found = inbox.get(0.5)
+            if isinstance(found, Finished):
+                finished[found.node] = found.index
+            elif setting.all_done():
+                break
+        link.send("source", "hydrophone_block", index, _message(index, item))
+        index += 1
+    link.close()
+
+
+def _message(index: int, item: Bytes) -> HydrophoneBlock:
+    samples = item.view(np.int16).reshape(1, -1)
+    return HydrophoneBlock(index, index, samples, 1.0, np.zeros((1, 3)), np.zeros(1))
+
+
+def receive(setting: Setting, tally: Tally) -> None:
+    """Take the samples of each message."""
+    with session(setting, listen=False) as opened:
+        subscribe(opened, setting, tally)
+
+
+def subscribe(opened: zenoh.Session, setting: Setting, tally: Tally) -> None:
+    """The same over a session that is there."""
+    name = _takers(setting)[tally.index]
+    link = _link(opened, setting, name)
+    inbox, more = link.inbox(name), True
+    while link.unmatched():
+        time.sleep(0.005)
+    setting.ready(tally.index)
+    while more:
+        found = inbox.get()
+        if isinstance(found, Delivery):
+            index = found.index
+            assert isinstance(found.message, HydrophoneBlock)
+            more = tally.take(found.message.samples.reshape(-1).view(np.uint8))
+            found = None  # its slot is free when nothing refers to it
+            inbox.release("block")
+            link.finished(name, index)
+    tally.save()
+    link.close()
+
+
+def _takers(setting: Setting) -> tuple[str, ...]:
+    return tuple(f"taker-{index}" for index in range(setting.readers))
+
+
+def _link(opened: zenoh.Session, setting: Setting, process: str) -> ZenohLink:
+    """The link of one process: each node has its own, named as the node."""
+    takers = _takers(setting)
+    wire = Input("block", "source", "hydrophone_block")
+    nodes = (
+        Node("source", describe(Array), {}),
+        *(Node(taker, describe(Taker), {}, inputs=(wire,)) for taker in takers),
+    )
+    everywhere = ("source", *takers)
+    placement = Placement(
+        dict(zip(everywhere, everywhere, strict=True)), dict.fromkeys(everywhere, "here"), takers
+    )
+    arena = f"fls-{setting.key}-{process}"
+    return ZenohLink(
+        opened, f"fls/{setting.key}", Graph("g", nodes, "source"), placement, process, WINDOW, _failed, arena
+    )
+
+
+def _failed(error: Exception) -> None:
+    raise error

@@ -1,0 +1,411 @@
+"""Runs a graph as processes: starts them, waits until they have met, watches, stops, tidies up."""
+
+from __future__ import annotations
+
+import logging
+import os
+import selectors
+import signal
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+import zenoh
+
+from fls_flow.channel import Channel
+from fls_flow.deploy import Deployment, Group
+from fls_flow.errors import FlsFlowError, RunError
+from fls_flow.graph import Graph
+from fls_flow.hosts import Hosts, RunTerms, ask, offer
+from fls_flow.links import ring
+from fls_flow.local_runs import announce, meeting_place
+from fls_flow.nursery import Nursery
+from fls_flow.observe import NodeCounts
+from fls_flow.runtime import Options, Pace, Report, pace_of
+from fls_flow.runtime.worker import Assignment, close_session, open_session
+
+__all__ = ["ProcessError", "Supervisor"]
+
+log = logging.getLogger(__name__)
+
+STOP_S = 1.9  # from a stop until what has not ended is killed
+PART_S = 1.0  # how long processes may take to exit after the end
+
+
+class ProcessError(RunError):
+    """A process of the run died, hung or was lost; the text names its nodes, the ping and the cause."""
+
+
+@dataclass
+class _Child:
+    """What the supervisor knows of a process."""
+
+    group: Group
+    channel: Channel
+    output: BinaryIO
+    ready: bool = False
+    done: bool = False
+    report: dict[str, Any] | None = None
+    fired: dict[str, int] = field(default_factory=dict)
+    heard: float = 0.0
+    exit_code: int | None = None
+    partial: bytes = b""
+
+
+class Supervisor:
+    """One run of a graph as processes of this host; the counterpart of `runtime.Run`.
+
+    `start()` returns when the run has ended, `stop()` ends it from a signal handler or another thread.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        deployment: Deployment,
+        options: Options,
+        nursery: Nursery,
+        *,
+        host: str,
+        out: Path,
+        on_finished: Callable[[int], None] = lambda pings: None,
+    ) -> None:
+        self.id = uuid.uuid4().hex[:12]
+        self.graph, self.deployment, self.host = graph, deployment, host
+        self._nursery, self._out, self._on_finished = nursery, out, on_finished
+        clock = graph.node(graph.clock)
+        instance = clock.kind.cls(**clock.arguments)
+        self.total = len(instance) if hasattr(instance, "__len__") else None
+        window = options.window or deployment.window
+        self._pace = pace_of(Options(window=window, rate=options.rate), instance)
+        self.window = self._pace.window
+        self._options = {
+            "rate": options.rate,
+            "stream_wait_s": options.stream_wait_s,
+            "grace_s": options.grace_s,
+            "deadline_s": deployment.deadline_s,
+            "samples_taken": options.samples_taken,
+        }
+        self._children: dict[str, _Child] = {}
+        self._wake_read, self._wake_write = os.pipe()
+        os.set_blocking(self._wake_write, False)
+        self._stopped_at: float | None = None
+        self._interrupted = False
+        self._error: FlsFlowError | None = None
+        self._went = False
+        self._pings = 0
+        self._first: float | None = None
+        self._watched = 0.0
+        self._stop_asked = threading.Event()
+        self._hosts: Hosts | None = None
+        self._began = time.monotonic()  # to wait for the other hosts
+        self._offer: Any = None
+
+    def start(self) -> Report:
+        """Run to the end; reports what went wrong in the run.
+
+        Raises UserError and RunError when the hosts do not come together.
+        """
+        began = time.monotonic()
+        ring.sweep("fls-", abandoned=True)  # of runs that were killed whole
+        with meeting_place(self.id, ["hub", *self._names()]) as place:
+            hub = f"unixsock-stream/{place}/hub"
+            session = open_session(self.deployment.zenoh_config(self.host, listen=[hub]))
+            try:
+                terms = self._agree(session)
+                assignment = self._assignment(terms, place)
+                announce(place, self.graph.name, terms.run, self.host, hub)
+                self._bear(assignment)
+                self._meet(session, assignment)
+                try:
+                    self._watch()
+                finally:
+                    self._watched = time.monotonic()
+                    self._part()
+                    ring.sweep(assignment.arenas)
+            finally:
+                close_session(session)
+        return self._report(time.monotonic() - began)
+
+    def _agree(self, session: zenoh.Session) -> RunTerms:
+        """The terms of the run: the leader's own, or what it answers."""
+        if self.host != self.deployment.leader:
+            terms = ask(session, self.deployment, self.graph.digest, self._stop_asked)
+            self.id, self._pace = terms.run, Pace(terms.window, terms.live)
+            self.window = terms.window
+            return terms
+        digests = self.graph.digest, self.deployment.digest
+        terms = RunTerms(self.id, *digests, self._pace.window, self._pace.live, self._options)
+        if len(self.deployment.hosts) > 1:
+            self._offer = offer(session, self.deployment, terms)
+        return terms
+
+    def _assignment(self, terms: RunTerms, place: Path) -> Assignment:
+        return Assignment(
+            terms.run,
+            self.host,
+            self.graph.name,
+            str(place),
+            str(self._out),
+            self._pace,
+            terms.options,
+            self.deployment.to_document(),
+        )
+
+    def _meet(self, session: zenoh.Session, assignment: Assignment) -> None:
+        self._began = time.monotonic()
+        if len(self.deployment.hosts) > 1:
+            self._hosts = Hosts(session, self.deployment, assignment.prefix, self.host, self._wake)
+        self._advance()
+
+    def stop(self) -> None:
+        """Start no further ping, finish those in flight, close."""
+        self._interrupted = True
+        self._stop_asked.set()
+        self._wake()
+
+    def _wake(self) -> None:
+        try:
+            os.write(self._wake_write, b"!")
+        except OSError:
+            log.debug("the supervisor has been woken often enough, or has ended")
+
+    def _names(self) -> list[str]:
+        return [group.name for group in self.deployment.groups(self.host)]
+
+    def _bear(self, assignment: Assignment) -> None:
+        born = self._nursery.bear(self.graph, assignment, self.deployment.groups(self.host))
+        for group in self.deployment.groups(self.host):
+            channel, output = born[group.name]
+            self._children[group.name] = _Child(group, channel, output, heard=time.monotonic())
+
+    # --- watching --------------------------------------------------------------------------------
+
+    def _watch(self) -> None:
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._wake_read, selectors.EVENT_READ, self._woken)
+            selector.register(self._nursery.channel, selectors.EVENT_READ, self._nursery_said)
+            for child in self._children.values():
+                selector.register(child.channel, selectors.EVENT_READ, lambda c=child: self._said(c))
+                selector.register(child.output, selectors.EVENT_READ, lambda c=child: self._printed(c))
+            while not self._over():
+                for key, _ in selector.select(0.1):
+                    if key.data() is False:
+                        selector.unregister(key.fileobj)
+                self._check_time()
+
+    def _woken(self) -> bool:
+        os.read(self._wake_read, 4096)
+        if self._interrupted:
+            self._halt("stopping")
+        if self._hosts is not None:
+            self._news(self._hosts)
+        self._advance()
+        return True
+
+    def _news(self, hosts: Hosts) -> None:
+        """Do as the other hosts do."""
+        failure = hosts.failure()
+        if failure is not None and self._error is None:
+            self._fail(RunError(failure))
+        if not self._interrupted and hosts.stopped():
+            self._interrupted = True
+            self._halt("stopping")
+        if self.host != self.deployment.leader:
+            self._pings = hosts.pings()
+            self._on_finished(self._pings)
+
+    def _advance(self) -> None:
+        """Say how far this host is; start the nodes when all hosts are ready, the clock last."""
+        children = self._children.values()
+        if self._went:
+            if self._hosts is not None and all(child.done for child in children) and self._done():
+                self._hosts.say("done", error=str(self._error) if self._error else None)
+            return
+        if self._stopped_at is not None or not all(child.ready for child in children):
+            return
+        if self._hosts is not None:
+            self._hosts.say("ready")
+            leads = self.host == self.deployment.leader
+            others = self._hosts.all_in("ready") if leads else self._follows(self._hosts)
+            if not others:
+                return
+            self._hosts.say("go")
+        self._went = True
+        clock = self.deployment.process_of(self.graph.clock)
+        for name in sorted(self._children, key=lambda name: name == clock):
+            self._children[name].heard = time.monotonic()
+            self._children[name].channel.send("go")
+
+    def _follows(self, hosts: Hosts) -> bool:
+        return hosts.state(self.deployment.leader) in ("go", "done")
+
+    def _over(self) -> bool:
+        if not all(child.done for child in self._children.values()):
+            return False
+        if self._hosts is None:
+            return self._went or self._stopped_at is not None
+        self._hosts.say("done", error=str(self._error) if self._error else None) if self._done() else None
+        patience = self._stopped_at is not None and time.monotonic() - self._stopped_at > STOP_S
+        return self._done() and (self._hosts.parted() or patience)
+
+    def _done(self) -> bool:
+        """Whether nothing more happens on this host: its own processes have ended, and the others' too."""
+        if self._children:
+            return self._went or self._stopped_at is not None
+        hosts = self._hosts  # a host that only relays stays until the others are done
+        return hosts is None or self._stopped_at is not None or hosts.all_in("done")
+
+    def _halt(self, state: Literal["stopping", "failed"]) -> None:
+        """Tell everybody to stop; those who do not are killed after a while."""
+        if self._hosts is not None:
+            self._hosts.say(state, error=str(self._error) if self._error else None)
+        if self._stopped_at is None:
+            self._stopped_at = time.monotonic()
+            for child in self._children.values():
+                child.channel.send("stop")
+
+    def _fail(self, error: FlsFlowError) -> None:
+        log.error("%s", error)
+        self._error = self._error or error
+        self._halt("failed")
+
+    def _check_time(self) -> None:
+        now = time.monotonic()
+        late = [name for name, child in self._children.items() if not child.done]
+        if self._hosts is not None and self._error is None and (lost := self._lost(self._hosts)) is not None:
+            self._fail(RunError(lost))
+        if late and self._stopped_at is not None and now - self._stopped_at > STOP_S:
+            log.error("did not stop in time and were killed: %s", ", ".join(late))
+            self._nursery.kill()
+            for child in self._children.values():
+                child.done = True
+        elif self._went:
+            for child in self._children.values():
+                silent = now - child.heard
+                if not child.done and silent > self.deployment.lost_after_s:
+                    child.done = True
+                    self._fail(ProcessError(f"{self._about(child)} is silent for {silent:.1f} s"))
+
+    def _lost(self, hosts: Hosts) -> str | None:
+        """Why the run cannot go on without another host: it fell silent, or never came."""
+        patience_s = self.deployment.connect_timeout_s
+        if self._went or time.monotonic() - self._began < patience_s or not (names := hosts.missing()):
+            return hosts.lost()
+        who = ", ".join(f"'{name}'" for name in names)
+        return (
+            f"host {who} did not come within {patience_s:g} s; is it running, and does 'connect' lead here?"
+        )
+
+    def _said(self, child: _Child) -> bool:
+        documents, there = child.channel.drain()
+        child.heard = time.monotonic()
+        for said in documents:
+            getattr(self, f"_on_{said.pop('word')}")(child, **said)
+        if not there and not child.done:
+            child.done = True
+            self._wait_for_exit(child)
+            self._fail(ProcessError(f"{self._about(child)} died{_how(child.exit_code)}"))
+        return there
+
+    def _on_ready(self, child: _Child) -> None:
+        child.ready = True
+        self._advance()
+
+    def _on_beat(self, child: _Child, pings: int, fired: dict[str, int]) -> None:
+        child.fired = fired
+
+    def _on_pings(self, child: _Child, pings: int) -> None:
+        self._pings = pings
+        if pings and self._first is None:
+            self._first = time.monotonic()
+        self._on_finished(pings)
+        if self._hosts is not None:
+            self._hosts.count(pings)
+
+    def _on_failed(self, child: _Child, text: str) -> None:
+        self._fail(RunError(text))
+
+    def _on_done(self, child: _Child, report: dict[str, Any] | None) -> None:
+        child.done, child.report = True, report
+        clock = (report or {}).get("counts", {}).get(self.graph.clock)
+        if clock and self._hosts is not None and self._stopped_at is None:
+            self._hosts.count(clock["fired"])  # the clock does not wait for the last to be finished
+
+    def _on_log(self, child: _Child, level: int, name: str, text: str) -> None:
+        logging.getLogger(name).log(level, "[%s] %s", child.group.name, text)
+
+    def _nursery_said(self) -> bool:
+        documents, there = self._nursery.channel.drain()
+        for said in documents:
+            self._children[said["process"]].exit_code = said["code"]
+        if not there and not all(child.done for child in self._children.values()):
+            self._fail(ProcessError("the process that started the others died"))
+            for child in self._children.values():
+                child.done = True
+        return there
+
+    def _wait_for_exit(self, child: _Child) -> None:
+        """The nursery says how a child ended a moment after its channel closed."""
+        while child.exit_code is None and (said := self._nursery.channel.receive()) is not None:
+            self._children[said["process"]].exit_code = said["code"]
+
+    def _printed(self, child: _Child) -> bool:
+        printed = child.output.read(1 << 16) or b""
+        *lines, child.partial = (child.partial + printed).split(b"\n")
+        for line in lines:
+            sys.stderr.write(f"[{child.group.name}] {line.decode(errors='replace')}\n")
+        return bool(printed)
+
+    def _about(self, child: _Child) -> str:
+        nodes = ", ".join(f"'{name}'" for name in child.group.nodes)
+        done = max(child.fired.values(), default=0)
+        word = "node" if len(child.group.nodes) == 1 else "nodes"
+        return f"process '{child.group.name}' with {word} {nodes}, after about {done} pings,"
+
+    # --- the end ---------------------------------------------------------------------------------
+
+    def _part(self) -> None:
+        for child in self._children.values():
+            child.channel.send("bye")
+        deadline = time.monotonic() + PART_S
+        for child in self._children.values():
+            if child.report is not None:
+                child.channel.wait_closed(deadline - time.monotonic())
+        if self._hosts is not None:
+            self._hosts.close()
+        self._nursery.end()
+        for child in self._children.values():
+            self._printed(child)
+            child.channel.close()
+            child.output.close()
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+
+    def _report(self, seconds: float) -> Report:
+        status: Literal["finished", "interrupted", "failed"] = (
+            "interrupted" if self._interrupted else "finished"
+        )
+        counts: dict[str, NodeCounts] = {name: NodeCounts() for name in self.deployment.nodes(self.host)}
+        taken: dict[str, dict[str, list[int]]] = {}
+        for child in self._children.values():
+            if child.report is not None:
+                counts |= {name: NodeCounts.of_summary(one) for name, one in child.report["counts"].items()}
+                taken |= child.report["samples_taken"]
+        here = [name for name in self.deployment.holders(self.graph) if name in counts]
+        if not here and status == "finished" and self._error is None:  # all that was started went through
+            here = [name for name in counts if name not in self.graph.streams]
+        pings = min((counts[name].fired for name in here), default=self._pings)
+        self._on_finished(pings)
+        after = 0.0 if self._first is None else self._watched - self._first
+        return Report("failed" if self._error else status, pings, seconds, counts, taken, self._error, after)
+
+
+def _how(code: int | None) -> str:
+    if code is None:
+        return ""
+    return f" (signal {-code}: {signal.Signals(-code).name})" if code < 0 else f" (exit code {code})"

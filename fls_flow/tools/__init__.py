@@ -1,0 +1,1 @@
+"""Longer work around graphs: parameter sweeps."""

@@ -1,0 +1,189 @@
+"""A graph over a grid of parameters: what is swept, what is scored, and which cells are left to do."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fls_flow.errors import GraphError, Problem, UserError
+from fls_flow.graph import Graph, find
+from fls_flow.graph.read import Source, override, read
+from fls_flow.messages import Tracks, Truth
+from fls_flow.runtime import describe
+from fls_flow.tools.cell import RUN_FIGURES, Row, Task, Watched, graph_of, installed
+from fls_flow.tools.grid import Axis, Grid, axes_of
+
+__all__ = ["Sweep", "prepare"]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """All that is decided before the first cell starts."""
+
+    name: str
+    source: Source  # with --use laid over it
+    grid: Grid
+    watched: tuple[Watched, ...]
+    metrics: tuple[str, ...]
+    about: dict[str, Any]  # equal for sweeps whose cells may stand in one folder
+
+    @property
+    def folder(self) -> Path:
+        """Where the sweep's records are by default: the same for the same sweep."""
+        text = json.dumps(self.about, sort_keys=True)
+        return Path("sweeps") / self.name / hashlib.sha256(text.encode()).hexdigest()[:10]
+
+    @property
+    def varied(self) -> tuple[Axis, ...]:
+        """The axes with more than one value."""
+        return tuple(axis for axis in self.grid.axes if len(axis.values) > 1)
+
+    def tasks(self, done: Iterable[int], keep: Path | None = None) -> list[Task]:
+        """What is left to do, in the order of the cells; `keep` is the folder for the files of all sinks."""
+        finished = set(done)
+        digits = len(str(len(self.grid) - 1))
+        return [
+            Task(
+                index,
+                self.source,
+                self.grid.settings(index),
+                self.watched,
+                self.about["versions"],
+                None if keep is None else _unused(keep / f"{index:0{digits}}"),
+            )
+            for index in range(len(self.grid))
+            if index not in finished
+        ]
+
+    def document(self, row: Row) -> dict[str, Any]:
+        """A cell's row with its parameters."""
+        return {
+            "cell": row.index,
+            "set": self.grid.labels(row.index),
+            "status": row.status,
+            "error": row.error,
+            "seconds": round(row.seconds, 3),
+            "scores": row.scores,
+        }
+
+
+def prepare(
+    name: str,
+    *,
+    use: Iterable[str] = (),
+    set_: Iterable[str] = (),
+    metrics: Iterable[str] = (),
+    tracks: str | None = None,
+) -> Sweep:
+    """The sweep of the graph called `name`; every value of every axis has been checked.
+
+    `tracks` names the sink or the node whose tracks are scored, if there are several. Raises UserError with
+    every mistake: in the graph, in a value, in what cannot be scored.
+    """
+    set_, use = tuple(set_), tuple(use)
+    source = read(find(name))
+    override(source, use, ())
+    grid = axes_of(set_, _reads_files(source))
+    graph = _every_value(source, grid)
+    watched = _watched(graph, tracks)
+    wanted = tuple(metrics) or (("gospa",) if len(watched) > 1 else RUN_FIGURES[-2:])
+    _scorable(graph, watched, wanted)
+    described = describe(graph)
+    about = {
+        "graph": graph.name,
+        "digest": graph.digest,
+        "use": list(use),
+        "set": {axis.name: list(axis.values) for axis in grid.axes},
+        "scored": [f"{one.node}.{one.output}" for one in watched],
+        "versions": described["versions"],
+    }
+    return Sweep(graph.name, source, grid, watched, wanted, about)
+
+
+def _reads_files(source: Source) -> Any:
+    """Tells of `node.parameter` whether it is the path of a file that the node reads."""
+    catalog = installed()
+
+    def is_path(name: str) -> bool:
+        node, _, parameter = name.partition(".")
+        draft = source.drafts.get(node)
+        if draft is None or draft.use is None or draft.use.data not in catalog.names():
+            return False  # the check of the graph says what is wrong
+        kind = catalog.load(draft.use.data)
+        types = {one.name: one.annotation for one in kind.parameters}
+        return bool(kind.outputs) and types.get(parameter) in (Path, Path | None)
+
+    return is_path
+
+
+def _every_value(source: Source, grid: Grid) -> Graph:
+    """The graph of the first cell, after each value of each axis has passed the graph's checks."""
+    problems: list[Problem] = []
+    first: Graph | None = None
+    for index in grid.crosses():
+        try:
+            graph = graph_of(source, grid.settings(index))
+            first = first or graph
+        except GraphError as error:
+            problems += error.problems
+    if problems or first is None:
+        raise GraphError(dict.fromkeys(problems))
+    return first
+
+
+def _watched(graph: Graph, tracks: str | None) -> tuple[Watched, ...]:
+    """What has to be written for the scores; nothing in a graph without tracks or without truth."""
+    truth = _giver(graph, Truth, "truth-csv", None)
+    tracked = _giver(graph, Tracks, "track-csv", tracks)
+    return (tracked, truth) if tracked is not None and truth is not None else ()
+
+
+def _giver(graph: Graph, message: type, kind: str, chosen: str | None) -> Watched | None:
+    """The output that the graph's sink of that kind takes; without one, the only output of that type."""
+    sinks = [
+        Watched(wire.node, wire.output, kind, node.name)
+        for node in graph.nodes
+        if node.kind.name == kind
+        for wire in node.inputs[:1]
+    ]
+    outputs = [
+        Watched(node.name, port.name, kind)
+        for node in graph.nodes
+        for port in node.kind.outputs
+        if port.message is message
+    ]
+    if chosen is not None:
+        found = [one for one in sinks if one.sink == chosen] or [one for one in outputs if one.node == chosen]
+        if not found:
+            raise UserError(f"--tracks {chosen}: no node of that name gives or writes tracks")
+        return found[0]
+    for candidates in (sinks, outputs):
+        if len(candidates) == 1:
+            return candidates[0]
+        if candidates:
+            names = ", ".join(one.sink or one.node for one in candidates)
+            mend = "name one with --tracks" if message is Tracks else "leave one of them"
+            raise UserError(f"graph '{graph.name}' has several {message.__name__}: {names}; {mend}")
+    return None
+
+
+def _scorable(graph: Graph, watched: tuple[Watched, ...], metrics: tuple[str, ...]) -> None:
+    scores = [name for name in metrics if name not in RUN_FIGURES]
+    if scores and not watched:
+        raise UserError(
+            f"--metric {scores[0]}: graph '{graph.name}' has no tracks and truth to score; "
+            f"without them there are {', '.join(RUN_FIGURES)}"
+        )
+
+
+def _unused(folder: Path) -> Path:
+    """The folder, or the next that a failed attempt at the cell has not left."""
+    path, n = folder, 1
+    while path.exists():
+        n += 1
+        path = folder.with_name(f"{folder.name}-{n}")
+    return path

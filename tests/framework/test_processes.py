@@ -1,0 +1,467 @@
+"""The same graph as processes over Zenoh: the same bytes, the same rules, nothing left behind."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from fls_flow import graph as graphs
+
+FLS_FLOW = [sys.executable, "-m", "fls_flow.cli"]
+ROOT = Path(__file__).parents[2]
+
+KINDS = '''
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from fls_flow import Detections, Message, NavState, Ping, hookimpl, wire
+
+
+@dataclass
+class Pings:
+    """Pings of some size, 10 a second by their stamps."""
+
+    pings: int = 40
+    cells: int = 100
+
+    def __call__(self) -> Iterator[Ping]:
+        for n in range(self.pings):
+            image = np.full((self.cells, 3), n, np.float32)
+            yield Ping(n, n * 100_000_000, image, np.arange(float(self.cells)), np.arange(3.0))
+
+    def __len__(self) -> int:
+        return self.pings
+
+
+@dataclass
+class Nav:
+    rate_hz: float = 33.0
+
+    def __call__(self) -> Iterator[NavState]:
+        for n in range(100_000):
+            yield NavState(n, int(n * 1e9 / self.rate_hz))
+
+
+@dataclass
+class Slow:
+    """Sleeps; gives what it has got, so that loss or disorder shows."""
+
+    sleep_s: float = 0.0
+    fail_at: int = -1
+
+    def __call__(self, ping: Ping, nav: tuple[NavState, ...] = ()) -> Detections:
+        time.sleep(self.sleep_s)
+        if ping.seq == self.fail_at:
+            raise ValueError("no echo today")
+        values = [float(ping.amplitude[-1, -1]), *(one.stamp_ns * 1e-9 for one in nav)]
+        zeros = np.zeros(len(values))
+        return Detections.of(ping, range_m=values, bearing_rad=zeros, amplitude=zeros)
+
+
+@dataclass
+class Lazy:
+    """A sink that cannot keep up; notes what it got."""
+
+    path: Path = Path("lazy.txt")
+    sleep_s: float = 0.3
+    _seen: list = field(default_factory=list, init=False, repr=False)
+
+    def __call__(self, detections: Detections, ping: Ping) -> None:
+        time.sleep(self.sleep_s)
+        if detections.seq != ping.seq:
+            raise ValueError("inputs of different pings")
+        self._seen.append(detections.seq)
+
+    def close(self) -> None:
+        self.path.write_text(" ".join(map(str, self._seen)))
+
+
+@dataclass
+class Recorder:
+    """Writes the bytes of everything it gets."""
+
+    path: Path = Path("messages.bin")
+    _file: object = field(default=None, init=False, repr=False)
+
+    def __call__(self, **ports: Message) -> None:
+        if self._file is None:
+            self._file = self.path.open("xb")
+        for name in sorted(ports):
+            self._file.write(wire.encode(ports[name]))
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+'''
+MODULE = "{kinds}\n\n@hookimpl\ndef fls_node():\n    return {name}\n"
+GRAPH = """
+graph: toy
+nodes:
+  sonar: {use: acme-pings}
+  nav: {use: acme-nav}
+  slow: {use: acme-slow, in: {ping: sonar, nav: nav@time}}
+  out: {use: detection-csv, in: {detections: slow}}
+"""
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Path]:
+    """A folder with the graph `toy.yaml` and, in `site`, a distribution with its kinds."""
+    info = tmp_path / "site" / "acme-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
+    kinds = ("Pings", "Nav", "Slow", "Lazy", "Recorder")
+    names = {f"acme-{name.lower()}": name for name in kinds}
+    lines = [f"{kind} = acme_{name.lower()}" for kind, name in names.items()]
+    (info / "entry_points.txt").write_text("[fls_flow]\n" + "\n".join(lines) + "\n")
+    for name in names.values():
+        (tmp_path / "site" / f"acme_{name.lower()}.py").write_text(MODULE.format(kinds=KINDS, name=name))
+    (tmp_path / "toy.yaml").write_text(GRAPH)
+    with tempfile.TemporaryDirectory(prefix="fls") as short:  # names of sockets have to be short
+        (tmp_path / "run").symlink_to(short)
+        yield tmp_path
+
+
+def environment(place: Path) -> dict[str, str]:
+    paths = {"PYTHONPATH": str(place / "site"), "XDG_RUNTIME_DIR": str((place / "run").resolve())}
+    return {**os.environ, **paths, "COLUMNS": "160"}
+
+
+Start = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def start(place: Path) -> Iterator[Start]:
+    """Start `fls-flow run`; afterwards nothing of it may be left."""
+    started: list[subprocess.Popen[str]] = []
+
+    def begin(*words: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [*FLS_FLOW, "run", *words],
+            cwd=place,
+            env=environment(place),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+    assert not left_over(place)
+
+
+def left_over(place: Path, wait_s: float = 5.0) -> list[str]:
+    """Processes and files of runs in this folder, after a moment in which they may end."""
+    deadline = time.monotonic() + wait_s
+    runs = [json.loads(path.read_text()).get("run", "?") for path in place.glob("*/run.json")]
+    shared = [path for run in runs for path in Path("/dev/shm").glob(f"fls-{run}-*")]
+    while found := [*of_this_place(place), *map(str, [*(place / "run" / "fls-flow").glob("*"), *shared])]:
+        if time.monotonic() > deadline:
+            break
+        time.sleep(0.05)
+        shared = [path for path in shared if path.exists()]
+    return found
+
+
+def of_this_place(place: Path) -> list[str]:
+    """The processes that were started with this folder's environment."""
+    found = []
+    mark = f"XDG_RUNTIME_DIR={(place / 'run').resolve()}\0".encode()
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark in (folder / "environ").read_bytes() and (folder / "cmdline").read_bytes():
+                found.append(folder.name)
+        except OSError:
+            continue
+    return found
+
+
+def ended(process: subprocess.Popen[str], timeout_s: float = 60.0) -> tuple[int, str, str]:
+    out, err = process.communicate(timeout=timeout_s)
+    return process.returncode, out, err
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def wait_for(what: Callable[[], object], timeout_s: float = 30.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not what():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def pid_of(place: Path, process: subprocess.Popen[str], nodes: str) -> int:
+    """The process of a group of nodes, found by the socket on which it listens."""
+    inodes = {
+        line.split()[-2]
+        for line in Path("/proc/net/unix").read_text().splitlines()
+        if line.endswith(f"/{nodes}")
+    }
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            links = [os.readlink(one) for one in (folder / "fd").iterdir()]
+        except OSError:
+            continue
+        held = any(link == f"socket:[{inode}]" for inode in inodes for link in links)
+        if held and folder.name in of_this_place(place):
+            return int(folder.name)
+    raise AssertionError(f"no process of {nodes}")
+
+
+# --- the same bytes ------------------------------------------------------------------------------
+
+SHORT = {
+    "surface_obstacle": "sonar.pings=60",
+    "surface_obstacle_200m": "sonar.pings=30",
+    "surface_on_recording": "sonar.pings=40",
+}
+
+
+@pytest.mark.parametrize("name", sorted(SHORT))
+def test_in_process_as_processes_and_grouped_give_the_same_bytes(name, place, start):
+    graph = graphs.load(name)
+    recorded = {
+        node.name: [port.name for port in node.kind.outputs] for node in graph.nodes if node.kind.outputs
+    }
+    lines = [f"graph: {graph.name}", f"base: {graph.path}", "nodes:"]
+    for node, ports in recorded.items():
+        wires = ", ".join(f"p{n}: {node}.{port}" for n, port in enumerate(ports))
+        lines.append(f"  rec-{node}: {{use: acme-recorder, in: {{{wires}}}, with: {{path: {node}.bin}}}}")
+    (place / "all.yaml").write_text("\n".join(lines) + "\n")
+    nodes = [*(node.name for node in graph.nodes), *(f"rec-{node}" for node in recorded)]
+    half = len(nodes) // 2
+    groups = f"{{one: [{', '.join(nodes[:half])}], two: [{', '.join(nodes[half:])}]}}"
+    (place / "two.yaml").write_text(f"deployment: two\nprocesses: {groups}\n")
+    ways = {"here": ["--in-process"], "processes": [], "grouped": ["--deploy", "two.yaml"]}
+    for way, words in ways.items():
+        code, _, err = ended(start("all.yaml", "--out", way, "--set", SHORT[name], *words))
+        assert code == 0, err
+    files = sorted(path.name for path in (place / "here").glob("*") if path.suffix in (".csv", ".bin"))
+    assert len(files) >= len(recorded) + 1
+    for file in files:
+        whole = (place / "here" / file).read_bytes()
+        assert whole
+        for way in ("processes", "grouped"):
+            assert (place / way / file).read_bytes() == whole, f"{way}/{file}"
+
+
+def test_a_stream_joins_by_time_in_the_same_way(place, start):
+    for way, words in {"here": ["--in-process"], "there": []}.items():
+        code, _, err = ended(start("toy.yaml", "--out", way, *words))
+        assert code == 0, err
+    assert (place / "here" / "detections.csv").read_bytes() == (
+        place / "there" / "detections.csv"
+    ).read_bytes()
+    assert len(rows(place / "there" / "detections.csv")) > 100
+
+
+# --- nothing lost, or shed at the source ---------------------------------------------------------
+
+
+def test_a_replay_through_a_slow_node_loses_nothing(place, start):
+    code, out, err = ended(
+        start("toy.yaml", "--out", "o", "--set", "slow.sleep_s=0.05", "--set", "sonar.cells=50000")
+    )
+    assert code == 0, err
+    firsts = {}
+    for row in rows(place / "o" / "detections.csv"):
+        firsts.setdefault(row["seq"], float(row["range_m"]))
+    assert firsts == {str(n): float(n) for n in range(40)}
+    assert "pings 40" in out
+
+
+def test_a_paced_source_sheds_whole_pings_and_keeps_the_newest(place, start):
+    words = ["--rate", "5", "--set", "slow.sleep_s=0.2"]
+    code, _, err = ended(start("toy.yaml", "--out", "o", *words))
+    assert code == 0, err
+    said = json.loads((place / "o" / "run.json").read_text())
+    shed = said["counts"]["sonar"]["shed"]
+    assert shed > 10
+    seqs = list(dict.fromkeys(int(row["seq"]) for row in rows(place / "o" / "detections.csv")))
+    assert len(seqs) == 40 - shed == said["pings"]
+    assert seqs == sorted(seqs)
+    assert seqs[-1] == 39
+
+
+def test_two_runs_at_once_do_not_see_each_other(place, start):
+    one = start("toy.yaml", "--out", "one", "--set", "sonar.pings=30")
+    two = start("toy.yaml", "--out", "two", "--set", "sonar.pings=50")
+    for process, name, pings in ((one, "one", 30), (two, "two", 50)):
+        code, _, err = ended(process)
+        assert code == 0, err
+        seqs = [row["seq"] for row in rows(place / name / "detections.csv")]
+        assert list(dict.fromkeys(seqs)) == [str(n) for n in range(pings)]
+
+
+# --- ends ----------------------------------------------------------------------------------------
+
+
+def test_a_node_that_raises_is_named_and_what_was_written_stays(place, start):
+    code, _, err = ended(start("toy.yaml", "--out", "o", "--set", "slow.fail_at=25"))
+    assert code == 1
+    errors = [line for line in err.splitlines() if line.startswith("error:")]
+    assert errors == ["error: node 'slow' failed at ping seq 25 (index 25): ValueError: no echo today"]
+    assert "Traceback" not in err
+    assert {row["seq"] for row in rows(place / "o" / "detections.csv")} == {str(n) for n in range(25)}
+    assert "Traceback" in (place / "o" / "run.log").read_text()
+
+
+def long_run(start: Start) -> subprocess.Popen[str]:
+    return start("toy.yaml", "--out", "o", "--set", "sonar.pings=100000", "--set", "slow.sleep_s=0.01")
+
+
+def running(place: Path) -> bool:
+    path = place / "o" / "detections.csv"
+    return path.is_file() and path.stat().st_size > 5_000
+
+
+def test_ctrl_c_stops_everything_within_two_seconds(place, start):
+    process = long_run(start)
+    wait_for(lambda: running(place))
+    process.send_signal(signal.SIGINT)
+    began = time.monotonic()
+    code, out, err = ended(process)
+    assert (
+        time.monotonic() - began < 2.0 + 1.5
+    )  # a loaded machine closes more slowly; nothing waits for longer
+    assert code == 130, err
+    assert "interrupted" in out
+    read = rows(place / "o" / "detections.csv")
+    assert all(row["stamp_ns"] for row in read)
+
+
+@pytest.mark.parametrize("victim", ["slow", "sonar", "out"])
+def test_a_process_that_dies_is_named(place, start, victim):
+    process = long_run(start)
+    wait_for(lambda: running(place))
+    os.kill(pid_of(place, process, victim), signal.SIGKILL)
+    code, _, err = ended(process)
+    assert code == 1
+    errors = [line for line in err.splitlines() if line.startswith("error:")]
+    assert len(errors) == 1
+    assert f"process '{victim}' with node '{victim}'" in errors[0]
+    assert "died (signal 9: SIGKILL)" in errors[0]
+    assert rows(place / "o" / "detections.csv")
+    assert json.loads((place / "o" / "run.json").read_text())["status"] == "failed"
+
+
+def test_a_process_that_hangs_is_named(place, start):
+    process = long_run(start)
+    wait_for(lambda: running(place))
+    os.kill(pid_of(place, process, "slow"), signal.SIGSTOP)
+    code, _, err = ended(process)
+    assert code == 1
+    assert "process 'slow' with node 'slow'" in err
+    assert "is silent for 3." in err
+
+
+def test_when_the_supervisor_is_killed_the_others_notice_and_end(place, start):
+    process = long_run(start)
+    wait_for(lambda: running(place))
+    process.kill()
+    assert not left_over(place)
+    read = rows(place / "o" / "detections.csv")
+    assert all(row["stamp_ns"] for row in read), "the file was closed whole"
+    assert json.loads((place / "o" / "run.json").read_text())["status"] == "running"
+
+
+def test_what_a_node_prints_is_shown_with_its_name(place, start):
+    (place / "site" / "acme_slow.py").write_text(
+        MODULE.format(
+            kinds=KINDS.replace("time.sleep(self.sleep_s)", "print('hello', ping.seq)"), name="Slow"
+        )
+    )
+    code, _, err = ended(start("toy.yaml", "--out", "o", "--set", "sonar.pings=2"))
+    assert code == 0
+    assert "[slow] hello 0" in err
+    assert "[slow] hello 1" in err
+
+
+# --- sinks that may lose pings -------------------------------------------------------------------
+
+LATEST = """
+deployment: lossy
+qos: {"* -> lazy": latest}
+"""
+
+
+@pytest.mark.parametrize("grouped", [False, True])
+def test_a_sink_that_takes_the_latest_never_holds_up_the_others(place, start, grouped):
+    (place / "lazy.yaml").write_text(
+        GRAPH.replace("graph: toy", "graph: lossy")
+        + "  lazy: {use: acme-lazy, in: {detections: slow, ping: sonar}}\n"
+    )
+    processes = "processes: {all: [sonar, nav, slow, out, lazy]}\n" if grouped else ""
+    (place / "d.yaml").write_text(LATEST + processes)
+    words = ["--deploy", "d.yaml", "--set", "sonar.pings=150", "--set", "slow.sleep_s=0.02"]
+    code, _, err = ended(start("lazy.yaml", "--out", "o", *words))
+    assert code == 0, err
+    said = json.loads((place / "o" / "run.json").read_text())
+    assert said["pings"] == 150
+    assert len({row["seq"] for row in rows(place / "o" / "detections.csv")}) == 150
+    seen = [int(word) for word in (place / "o" / "lazy.txt").read_text().split()]
+    assert seen == sorted(set(seen))
+    assert seen[-1] == 149, "the newest is kept"
+    assert len(seen) < 60
+    counts = said["counts"]["lazy"]
+    assert counts["fired"] == len(seen)
+    assert counts["fired"] + counts["dropped"] == 150
+
+
+# --- seen from outside ---------------------------------------------------------------------------
+
+
+def top(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [*FLS_FLOW, "top", "--once", *words]
+    return subprocess.run(
+        command, cwd=place, env=environment(place), capture_output=True, text=True, timeout=30, check=False
+    )
+
+
+def test_top_shows_what_the_nodes_do(place, start):
+    process = long_run(start)
+    wait_for(lambda: running(place))
+    time.sleep(1.0)
+    done = top(place, "--json")
+    assert done.returncode == 0, done.stderr
+    nodes = {name: node for one in json.loads(done.stdout) for name, node in one["nodes"].items()}
+    assert set(nodes) == {"sonar", "nav", "slow", "out"}
+    assert nodes["slow"]["fired"] > 20
+    assert nodes["slow"]["p50_ms"] >= 10.0
+    assert 0 < nodes["slow"]["rate_hz"] <= 110
+    assert all(one["memory_bytes"] > 1e7 for one in json.loads(done.stdout))
+    table = top(place).stdout
+    assert "slow" in table
+    assert "p99 ms" in table
+    run = json.loads((place / "o" / "run.json").read_text())["run"]
+    assert top(place, run[:6]).returncode == 0
+    unknown = top(place, "zzz")
+    assert unknown.returncode == 2
+    assert f"no run begins with 'zzz'; runs on this machine: {run} (toy)" in unknown.stderr
+    process.send_signal(signal.SIGINT)
+    assert ended(process)[0] == 130
+    nobody = top(place)
+    assert nobody.returncode == 2
+    assert "runs on this machine: none; start one" in nobody.stderr
