@@ -314,9 +314,11 @@ def test_own_processes_show_the_password_of_their_host(party: Any, tmp_path: Pat
     vehicle = made(vehicle=Zenoh(user="vehicle", password_file=path, users=("vehicle",)))
     door = f"unixsock-stream/{tmp_path}/door"
     party(vehicle.zenoh_config("vehicle", listen=[door]))
-    own = {"listen": [f"{door}-listener"]}  # gossip brings the other here, past the host's session
+    # as the processes of a run do: past the host's session, to those that were there before
+    own = {"listen": [f"{door}-listener"]}
     listener = party(vehicle.worker_config("vehicle", connect=[door], **own), hear=KEY)
-    party(vehicle.worker_config("vehicle", connect=[door], listen=[f"{door}-other"]), say=KEY, word="hello")
+    earlier = [door, *own["listen"]]
+    party(vehicle.worker_config("vehicle", connect=earlier, listen=[f"{door}-other"]), say=KEY, word="hello")
     assert listener.heard(3) == {"hello"}
 
 
