@@ -33,6 +33,7 @@ __all__ = ["ProcessError", "Supervisor"]
 
 log = logging.getLogger(__name__)
 
+DRAIN_S = 0.8  # of that, for the pings in flight: closing takes time too, a picture's most
 STOP_S = 1.9  # from a stop until what has not ended is killed
 PART_S = 1.0  # how long processes may take to exit after the end
 
@@ -86,7 +87,7 @@ class Supervisor:
         self._options = {
             "rate": options.rate,
             "stream_wait_s": options.stream_wait_s,
-            "grace_s": options.grace_s,
+            "grace_s": min(options.grace_s, DRAIN_S),
             "deadline_s": deployment.deadline_s,
             "samples_taken": options.samples_taken,
         }

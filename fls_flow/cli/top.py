@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["top"]
 
 ANSWER_S = 1.0
+LOOKS = 5
 
 
 @click.command()
@@ -65,6 +66,8 @@ def _show(session: zenoh.Session, key: str, every: float, *, once: bool, as_json
     from rich.live import Live
 
     processes = _asked(session, key)
+    if not processes:
+        raise RunError("no process of the run answers; has it ended?")
     if as_json or once:
         while True:
             if as_json:
@@ -83,8 +86,14 @@ def _show(session: zenoh.Session, key: str, every: float, *, once: bool, as_json
 
 
 def _asked(session: zenoh.Session, key: str) -> list[dict[str, Any]]:
-    replies = [reply.ok for reply in session.get(key, timeout=ANSWER_S)]
-    found = [json.loads(one.payload.to_bytes()) for one in replies if one is not None]
+    """What the processes of the run say; asked a few times, since one look may be too early or too short."""
+    found: list[dict[str, Any]] = []
+    for _ in range(LOOKS):
+        replies = [reply.ok for reply in session.get(key, timeout=ANSWER_S)]
+        found = [json.loads(one.payload.to_bytes()) for one in replies if one is not None]
+        if found:
+            break
+        time.sleep(0.1)
     return sorted(found, key=lambda one: (one["host"], one["process"]))
 
 
