@@ -1,0 +1,1 @@
+"""Beamformers: from hydrophone samples to pings."""

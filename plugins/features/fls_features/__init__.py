@@ -1,0 +1,1 @@
+"""Features: from tracks and pings to numbers that describe each track."""
