@@ -64,15 +64,10 @@ class Source:
 
     def __init__(self, view: memoryview, items: list[Any], end_of_header: int) -> None:
         self._view = view.toreadonly()
-        self._items: Iterator[Any] = iter(items[2:])
+        self._items: Iterator[Any] = iter(items)
         self._end = end_of_header
-
-    def take(self) -> Any:
-        """The header's next item."""
-        try:
-            return next(self._items)
-        except StopIteration:
-            raise WireError("the header has too few items") from None
+        # the header's next item; StopIteration when it has too few (so never take in a generator)
+        self.take: Callable[[], Any] = self._items.__next__
 
     def array(self, where: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
         """The next segment, as a read-only view."""
@@ -235,7 +230,7 @@ class Tuple:
             part.write(entry, sink)
 
     def read(self, source: Source) -> Any:
-        return tuple(part.read(source) for part in self.parts)
+        return tuple([part.read(source) for part in self.parts])
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,7 +256,7 @@ class Many:
         if type(length) is not int or length < 0:
             _refuse(self.where, length, "a number of entries")
         # Every entry takes an item at least: a length that lies ends with the header.
-        return tuple(self.part.read(source) for _ in range(length))
+        return tuple([self.part.read(source) for _ in range(length)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,9 +288,10 @@ class Array:
             _refuse(self.where, code, f"dtype {', '.join(self.dtypes)}")
         if type(ndim) is not int or not 0 <= ndim <= _MAX_NDIM:
             _refuse(self.where, ndim, f"0 to {_MAX_NDIM} dimensions")
-        shape = tuple(source.take() for _ in range(ndim))
-        if not all(type(length) is int and length >= 0 for length in shape):
-            _refuse(self.where, shape, "lengths as its shape")
+        shape = tuple([source.take() for _ in range(ndim)])
+        for length in shape:
+            if type(length) is not int or length < 0:
+                _refuse(self.where, shape, "lengths as its shape")
         return source.array(self.where, self.dtypes[code], shape)
 
 

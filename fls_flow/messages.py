@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "AltimeterBeams",
     "BeamMask",
     "Classes",
     "DetectionKind",
@@ -107,7 +108,7 @@ def _shapes(cls: Any) -> tuple[tuple[str, _Shape], ...]:
 def _sealed(
     owner: str, name: str, value: Any, shape: _Shape, lengths: dict[str, tuple[int, str]]
 ) -> npt.NDArray[Any]:
-    given = np.asarray(value)
+    given = value if type(value) is np.ndarray else np.asarray(value)
     if given.dtype not in shape.dtypes:
         if len(shape.dtypes) > 1:
             allowed = ", ".join(map(str, shape.dtypes))
@@ -115,7 +116,7 @@ def _sealed(
         given = given.astype(shape.dtypes[0])
     if given.ndim != len(shape.dims):
         raise ValueError(f"{owner}.{name} has shape {given.shape}; it takes {_text(shape.dims)}")
-    for length, dim in zip(given.shape, shape.dims, strict=True):
+    for length, dim in zip(given.shape, shape.dims):  # noqa: B905  # of equal length; this is a hot path
         expected, by = (dim, name) if isinstance(dim, int) else lengths.setdefault(dim, (length, name))
         if length != expected:
             hint = "" if by == name else f": '{by}' has {dim} = {expected}"
@@ -155,6 +156,19 @@ class NavState:
     attitude_rate_radps: Vector = UNKNOWN  # their time derivatives
     velocity_mps: Vector = UNKNOWN  # over ground, in the body frame (DVL)
     altitude_m: float = float("nan")  # height above the bottom
+
+
+@dataclass(frozen=True, eq=False)
+class AltimeterBeams(Sealed):
+    """Slant ranges to the bottom along beams, as a DVL or several altimeters measure them."""
+
+    seq: int
+    stamp_ns: int
+    direction: FloatArray = array(float, "n", 3)  # unit, in the body frame, from the vehicle's origin
+    range_m: FloatArray = array(float, "n")  # nan where a beam has not found the bottom
+
+    def __len__(self) -> int:
+        return self.range_m.size
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,6 @@ its class accepts, and costs no memory beyond a small multiple of its own size.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple, TypeVar
 
@@ -90,8 +89,11 @@ def decode(buffer: Buffer, message_type: type[M]) -> M:
     _expect(expected.schema, items)
     if head.flags & _PAYLOAD_CHECKED and xxh3_64_intdigest(view[head.end :]) != head.payload_sum:
         raise WireError(f"{expected.name}: the payload's checksum differs; the buffer was altered on its way")
-    source = Source(view, items, head.end)
-    message: M = expected.read(source)
+    source = Source(view, items[2:], head.end)
+    try:
+        message: M = expected.read(source)
+    except StopIteration:
+        raise WireError("the header has too few items") from None
     source.finish()
     return message
 
@@ -110,45 +112,44 @@ def schema(message_type: type) -> Schema:
     return record(message_type).schema
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
+class Layout(NamedTuple):
     """A message laid out for writing: its size is known, no array is copied yet."""
 
     size: int
-    _header: bytes
-    _segments: tuple[tuple[npt.NDArray[Any], np.dtype[Any], int], ...]  # array, dtype on the wire, offset
+    header: bytes
+    segments: tuple[tuple[npt.NDArray[Any], np.dtype[Any], int], ...]  # array, dtype on the wire, offset
 
     def to_bytes(self, *, checksum: bool = True) -> bytes:
         """The whole buffer."""
-        end = _PREFIX + len(self._header)
+        end = _PREFIX + len(self.header)
         pieces: list[bytes | memoryview] = []
-        for array, dtype, start in self._segments:
+        for array, dtype, start in self.segments:
             pieces.append(bytes(start - end))
             pieces.append(np.ascontiguousarray(array, dtype).data)
             end = start + array.nbytes
         digest = xxh3_64()
         for piece in pieces if checksum else ():
             digest.update(piece)
-        return b"".join((self._prefix(digest.intdigest() if checksum else None), self._header, *pieces))
+        return b"".join((self._prefix(digest.intdigest() if checksum else None), self.header, *pieces))
 
     def write_into(self, buffer: bytearray | memoryview, *, checksum: bool = True) -> int:
         """Write the whole buffer to the start of `buffer`, and return its size."""
         view = _bytes(buffer)
         if view.readonly or len(view) < self.size:
             raise WireError(f"needs {self.size} writable bytes; the buffer has {len(view)}")
-        end = start_of_payload = _PREFIX + len(self._header)
-        for array, dtype, start in self._segments:
+        end = start_of_payload = _PREFIX + len(self.header)
+        for array, dtype, start in self.segments:
             view[end:start] = bytes(start - end)  # reused memory: padding is part of the checksum
             np.ndarray(array.shape, dtype, view, start)[...] = array
             end = start + array.nbytes
         payload_sum = xxh3_64_intdigest(view[start_of_payload:end]) if checksum else None
-        view[:start_of_payload] = self._prefix(payload_sum) + self._header
+        view[:start_of_payload] = self._prefix(payload_sum) + self.header
         return self.size
 
     def _prefix(self, payload_sum: int | None) -> bytes:
         flags = 0 if payload_sum is None else _PAYLOAD_CHECKED
-        sizes = _SIZES.pack(flags, len(self._header), self.size, payload_sum or 0)
-        return _OPENING.pack(MAGIC, VERSION, xxh3_64_intdigest(sizes + self._header)) + sizes
+        sizes = _SIZES.pack(flags, len(self.header), self.size, payload_sum or 0)
+        return _OPENING.pack(MAGIC, VERSION, xxh3_64_intdigest(sizes + self.header)) + sizes
 
 
 def layout(message: Message) -> Layout:

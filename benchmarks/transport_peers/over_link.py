@@ -15,23 +15,34 @@ import zenoh
 
 from benchmarks.transport_peers.over_zenoh import session
 from benchmarks.transport_peers.rig import Bytes, Setting, Tally
-from fls_flow import HydrophoneBlock
+from fls_flow import array
 from fls_flow.catalog import describe
 from fls_flow.graph import Graph
 from fls_flow.graph.model import Input, Node
 from fls_flow.links import Delivery, Finished
-from fls_flow.links.zenoh import Placement, ZenohLink
+from fls_flow.links.placement import Placement
+from fls_flow.links.zenoh import ZenohLink
+from fls_flow.messages import Sealed
 
 __all__ = ["publish", "receive", "send", "subscribe"]
 
 WINDOW = 8
 
 
+@dataclass(frozen=True, eq=False)
+class Block(Sealed):
+    """What the peers send: an array."""
+
+    seq: int
+    stamp_ns: int
+    cells: Bytes = array(np.uint8, "n")
+
+
 @dataclass
 class Array:
     """Where the messages come from; never called here."""
 
-    def __call__(self) -> Iterator[HydrophoneBlock]:
+    def __call__(self) -> Iterator[Block]:
         """Give nothing."""
         return iter(())
 
@@ -40,7 +51,7 @@ class Array:
 class Taker:
     """Where they go; never called here."""
 
-    def __call__(self, block: HydrophoneBlock) -> None:
+    def __call__(self, block: Block) -> None:
         """Take one."""
 
 
@@ -68,14 +79,9 @@ def publish(opened: zenoh.Session, setting: Setting) -> None:
                 finished[found.node] = found.index
             elif setting.all_done():
                 break
-        link.send("source", "hydrophone_block", index, _message(index, item))
+        link.send("source", "block", index, Block(index, index, item))
         index += 1
     link.close()
-
-
-def _message(index: int, item: Bytes) -> HydrophoneBlock:
-    samples = item.view(np.int16).reshape(1, -1)
-    return HydrophoneBlock(index, index, samples, 1.0, np.zeros((1, 3)), np.zeros(1))
 
 
 def receive(setting: Setting, tally: Tally) -> None:
@@ -96,8 +102,8 @@ def subscribe(opened: zenoh.Session, setting: Setting, tally: Tally) -> None:
         found = inbox.get()
         if isinstance(found, Delivery):
             index = found.index
-            assert isinstance(found.message, HydrophoneBlock)
-            more = tally.take(found.message.samples.reshape(-1).view(np.uint8))
+            assert isinstance(found.message, Block)
+            more = tally.take(found.message.cells)
             found = None  # its slot is free when nothing refers to it
             inbox.release("block")
             link.finished(name, index)
@@ -112,7 +118,7 @@ def _takers(setting: Setting) -> tuple[str, ...]:
 def _link(opened: zenoh.Session, setting: Setting, process: str) -> ZenohLink:
     """The link of one process: each node has its own, named as the node."""
     takers = _takers(setting)
-    wire = Input("block", "source", "hydrophone_block")
+    wire = Input("block", "source", "block")
     nodes = (
         Node("source", describe(Array), {}),
         *(Node(taker, describe(Taker), {}, inputs=(wire,)) for taker in takers),

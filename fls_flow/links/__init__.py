@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
@@ -9,6 +10,7 @@ from fls_flow.messages import Message
 
 __all__ = [
     "ClockEnd",
+    "Coming",
     "Delivery",
     "End",
     "Finished",
@@ -45,6 +47,24 @@ class Sample:
 
     port: str
     message: Message
+
+
+@dataclass(slots=True)
+class Coming:
+    """A delivery, or without `index` a sample, whose message is still as it travelled.
+
+    Whoever takes it opens it, so that the thread that reads a channel only enqueues.
+    """
+
+    port: str
+    index: int | None
+    message: Callable[[], Message]
+
+    def opened(self) -> Delivery | Sample:
+        """What the node takes. Raises LinkError when the message cannot be read."""
+        if self.index is None:
+            return Sample(self.port, self.message())
+        return Delivery(self.port, self.index, self.message())
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +105,7 @@ Item: TypeAlias = Delivery | End | Sample | SamplesEnd | Finished | Started | Cl
 class Inbox(Protocol):
     """Where the items for one node arrive, in order per sender."""
 
-    def post(self, item: Item) -> None:
+    def post(self, item: Item | Coming) -> None:
         """Add an item; never blocks. Raises LinkError when an edge has no room left."""
 
     def get(self, timeout_s: float | None = None) -> Item | None:

@@ -10,16 +10,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 __all__ = ["NewestSender", "Packet", "Receiver", "Sender"]
 
 SLOWEST_S = 16.0  # between two rounds of sending again to somebody who does not answer
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
+class Packet(NamedTuple):
     """One item as it travels: its number in the stream, a small header, and a message's bytes or none."""
 
     number: int
@@ -174,6 +172,10 @@ class Receiver:
     def take(self, packet: Packet) -> tuple[int, int] | None:
         """Take a packet as it arrives; first and last missing number, when this is the first to show it."""
         with self._lock:
+            if packet.number == self.expected and not self._early:
+                self._deliver(packet)
+                self.expected += 1
+                return None
             if packet.number < self.expected:
                 return None
             if packet.number <= self.expected + self._ahead:

@@ -16,43 +16,35 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import msgpack
+import numpy as np
+import numpy.typing as npt
 import zenoh
 
 from fls_flow import wire
 from fls_flow.errors import LinkError
 from fls_flow.graph import Graph
-from fls_flow.links import ClockEnd, Finished, Started
+from fls_flow.links import ClockEnd, Finished, Inbox, Started
 from fls_flow.links.memory import MemoryInbox, MemoryLink
+from fls_flow.links.placement import Placement, controls, takers
 from fls_flow.links.ring import MAX_READERS, Arena, Descriptor, Window
 from fls_flow.links.stream import NewestSender, Packet, Receiver, Sender
 from fls_flow.messages import Message
 
-__all__ = ["Placement", "ZenohLink"]
+__all__ = ["ZenohLink"]
 
 log = logging.getLogger(__name__)
 
 DELIVERY, END, SAMPLE, FINISHED, STARTED, CLOCK_END = range(6)
-SHARED_FROM = 64 << 10  # bytes; below that, a copy costs less than a lease
+SHARED_FROM = 131072  # bytes; below that, a copy costs less than a lease
+CLOSE_S = 1e-3  # firings that follow each other more closely may be told together
 ANSWER_S = 0.02  # how long acknowledgements are gathered: they free memory, nothing waits for them
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Which process holds each node, and on which host each process runs."""
-
-    process_of: dict[str, str]
-    host_of: dict[str, str]
-    holders: tuple[str, ...]  # the nodes that hold the window
-    free: frozenset[str] = frozenset()  # the sinks that may lose pings
-
-    def nodes(self, process: str) -> tuple[str, ...]:
-        """The nodes of a process."""
-        return tuple(node for node, place in self.process_of.items() if place == process)
 
 
 class ZenohLink:
@@ -87,6 +79,11 @@ class ZenohLink:
         self._outputs: dict[tuple[str, str], list[_Outlet]] = {}
         self._receivers: dict[str, _Inlet] = {}
         self._answers: dict[str, zenoh.Publisher] = {}
+        self._reports = {
+            node: _Report(partial(self._tell_finished, node), inbox, window)
+            for node in placement.holders
+            if node in self._nodes and isinstance(inbox := self._local.inbox(node), MemoryInbox)
+        }
         self._closing = threading.Event()
         self._declared: list[Any] = []
         self._declare()
@@ -99,7 +96,7 @@ class ZenohLink:
 
     # --- the Link protocol -----------------------------------------------------------------------
 
-    def inbox(self, node: str) -> MemoryInbox:
+    def inbox(self, node: str) -> Inbox:
         """The inbox of a node of this process."""
         return self._local.inbox(node)
 
@@ -115,6 +112,8 @@ class ZenohLink:
 
     def end(self, node: str, last: int) -> None:
         """Tell all who take anything of `node` that firing `last` was its last."""
+        if node in self._reports:
+            self._reports[node].tell()
         self._local.end(node, last)
         for (giver, _), outlets in self._outputs.items():
             for outlet in outlets if giver == node else ():
@@ -125,7 +124,7 @@ class ZenohLink:
         if self._graph.clock in self._nodes:
             self._local.finished(node, index)
         else:
-            self._control((FINISHED, node, index))
+            self._reports[node].finished(index)
 
     def started(self, stamp_ns: int) -> None:
         """Tell the streams that the clock has started a ping."""
@@ -166,9 +165,9 @@ class ZenohLink:
     # --- wiring ----------------------------------------------------------------------------------
 
     def _declare(self) -> None:
-        for (node, port, free), takers in _takers(self._graph, self._placement).items():
+        for (node, port, free), found in takers(self._graph, self._placement).items():
             giver = self._placement.process_of[node]
-            remote = takers - {giver}
+            remote = found - {giver}
             if free:
                 for taker in sorted(remote):
                     self._declare_free(node, port, giver, taker)
@@ -176,7 +175,7 @@ class ZenohLink:
                 self._declare_giver(node, port, remote)
             elif self._process in remote:
                 self._declare_taker(node, port, giver, remote)
-        for giver, receivers in _controls(self._graph, self._placement).items():
+        for giver, receivers in controls(self._graph, self._placement).items():
             if giver == self._process and receivers:
                 self._outlet(f"@control/{giver}", receivers)
             elif self._process in receivers:
@@ -282,6 +281,9 @@ class ZenohLink:
         layout.write_into(slot.view, checksum=False)
         return slot.descriptor
 
+    def _tell_finished(self, node: str, index: int) -> None:
+        self._control((FINISHED, node, index))
+
     def _control(self, header: tuple[Any, ...]) -> None:
         self._senders[f"@control/{self._process}"].sender.send(header)
 
@@ -302,14 +304,9 @@ class ZenohLink:
         if kind == END:
             self._local.deliver_end(route, number)
             return
-        held: Any = packet.payload
-        if place:
-            held = self._shared.open(Descriptor(*place), reader).data
-        message: Message = wire.decode(held, self._types[route[:2]])
-        if kind == DELIVERY:
-            self._local.deliver(route, number, message)
-        else:
-            self._local.deliver_sample(route, message)
+        held = partial(self._shared.open, Descriptor(*place), reader) if place else packet.payload
+        arrived = _Arrived(held, self._types[route[:2]])
+        self._local.deliver_coming(route, number if kind == DELIVERY else None, arrived)
 
     def _take_control(self, packet: Packet) -> None:
         kind, *values = packet.header
@@ -370,6 +367,52 @@ class _Outlet:
             self.sender.send((END, last))
 
 
+class _Report:
+    """What the clock is told of a node that holds the window: the newest firing that it has finished.
+
+    While firings follow each other closely some are told together: at most half a window waits, and nothing
+    while the node waits.
+    """
+
+    def __init__(self, tell: Callable[[int], None], inbox: MemoryInbox, window: int) -> None:
+        self._tell, self._inbox, self._most = tell, inbox, max(1, window // 2)
+        self._index = self._told = -1
+        self._when = 0.0
+
+    def finished(self, index: int) -> None:
+        """The node is done with a firing."""
+        self._index = index
+        if index - self._told >= self._most or time.monotonic() - self._when >= CLOSE_S:
+            self.tell()
+        else:
+            self._inbox.before_waiting = self.tell
+
+    def tell(self) -> None:
+        """Tell what was not told."""
+        self._inbox.before_waiting = None
+        if self._index > self._told:
+            self._told, self._when = self._index, time.monotonic()
+            self._tell(self._index)
+
+
+class _Arrived:
+    """A message as it travelled; the first of its takers opens it for all."""
+
+    def __init__(self, held: bytes | Callable[[], npt.NDArray[np.uint8]], message_type: type[Any]) -> None:
+        self._held, self._type = held, message_type
+        self._message: Message | None = None
+        self._lock = threading.Lock()
+
+    def __call__(self) -> Message:
+        """The message; raises LinkError or WireError when it cannot be read."""
+        with self._lock:
+            if self._message is None:
+                held = self._held if isinstance(self._held, bytes) else self._held().data
+                self._message = wire.decode(held, self._type)
+                self._held = b""
+            return self._message
+
+
 @dataclass
 class _Inlet:
     giver: str
@@ -387,9 +430,10 @@ def _matched(publisher: zenoh.Publisher) -> bool:
 
 
 def _attached(sample: zenoh.Sample) -> list[Any]:
-    if sample.attachment is None:
+    attachment = sample.attachment
+    if attachment is None:
         raise LinkError(f"{sample.key_expr}: a message without its header")
-    header = msgpack.unpackb(sample.attachment.to_bytes())
+    header = msgpack.unpackb(attachment.to_bytes())
     if not isinstance(header, list):
         raise LinkError(f"{sample.key_expr}: a header that is no list")
     return header
@@ -397,24 +441,3 @@ def _attached(sample: zenoh.Sample) -> list[Any]:
 
 def _data_key(node: str, port: str, host: str | None) -> str:
     return f"{node}/{port}" if host is None else f"{node}/{port}/@host/{host}"
-
-
-def _takers(graph: Graph, placement: Placement) -> dict[tuple[str, str, bool], set[str]]:
-    """The processes that take each output, apart for sinks that may lose pings."""
-    takers: dict[tuple[str, str, bool], set[str]] = {}
-    for node in graph.nodes:
-        for wire_ in node.inputs:
-            route = wire_.node, wire_.output, node.name in placement.free
-            takers.setdefault(route, set()).add(placement.process_of[node.name])
-    return takers
-
-
-def _controls(graph: Graph, placement: Placement) -> dict[str, set[str]]:
-    """The processes that hear the control stream of each process, itself left out."""
-    clock = placement.process_of[graph.clock]
-    heard: dict[str, set[str]] = {process: set() for process in placement.host_of}
-    for holder in placement.holders:
-        heard[placement.process_of[holder]].add(clock)
-    for stream in graph.streams:
-        heard[clock].add(placement.process_of[stream])
-    return {giver: takers - {giver} for giver, takers in heard.items()}

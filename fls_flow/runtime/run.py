@@ -273,8 +273,7 @@ class Run:
     def _advance(self, host: Host) -> bool:
         """Let a node do all it can; the clock starts one ping at a time."""
         moved = False
-        while (item := host.inbox.get(0.0)) is not None:
-            host.take(item)
+        while self._receive(host, 0.0):
             moved = True
         while self._step(host):
             moved = True
@@ -321,9 +320,19 @@ class Run:
             if self._step(host) or host.done:
                 continue
             patience = host.patience_s()
-            item = host.inbox.get(0.2 if patience is None else min(patience, 0.2))
-            if item is not None:
-                host.take(item)
+            self._receive(host, 0.2 if patience is None else min(patience, 0.2))
+
+    def _receive(self, host: Host, timeout_s: float) -> bool:
+        """Let a node take one item; whether one came."""
+        try:
+            item = host.inbox.get(timeout_s)
+        except FlsFlowError as error:
+            self._fail(host, error)
+            return False
+        if item is None:
+            return False
+        host.take(item)
+        return True
 
     def _step(self, host: Host) -> bool:
         try:

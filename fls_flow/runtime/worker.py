@@ -16,7 +16,8 @@ from fls_flow.channel import Channel, ChannelLog
 from fls_flow.deploy import Deployment, Group
 from fls_flow.errors import FlsFlowError
 from fls_flow.graph import Graph
-from fls_flow.links.zenoh import Placement, ZenohLink
+from fls_flow.links.placement import Placement
+from fls_flow.links.zenoh import ZenohLink
 from fls_flow.runtime.live import LiveState
 from fls_flow.runtime.run import Options, Pace, Run, Share
 
