@@ -14,7 +14,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["compiled", "frozen"]
+__all__ = ["compiled", "frozen", "prepare"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -40,3 +40,16 @@ def frozen(values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
     view = np.ascontiguousarray(values).view()
     view.flags.writeable = False
     return view
+
+
+def prepare() -> None:
+    """Load what a process needs before its first kernel; a fork later, all children have it.
+
+    That takes as long as a hundred kernels from the disk.
+    """
+    _nothing(np.zeros(1))
+
+
+@compiled
+def _nothing(values: npt.NDArray[np.float64]) -> int:
+    return values.size

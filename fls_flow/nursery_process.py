@@ -22,6 +22,7 @@ MAX_PROCESSES = 250  # what one message with file descriptors can carry
 def main() -> None:
     """Wait for an assignment, fork, tell of every child that ends; end when all have."""
     from fls_flow import graph as graphs
+    from fls_flow import kernels
     from fls_flow.channel import Channel
     from fls_flow.deploy import Group
     from fls_flow.links import ring
@@ -29,6 +30,7 @@ def main() -> None:
 
     end = socket.socket(fileno=int(sys.argv[1]))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to answer
+    kernels.prepare()  # while the supervisor reads the graph; nearly every graph has compiled nodes
     message, descriptors, _, _ = socket.recv_fds(end, 1 << 16, 2 * MAX_PROCESSES)
     if not message:
         return

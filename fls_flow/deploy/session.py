@@ -18,14 +18,18 @@ Mode = Literal["peer", "client", "router"]
 CONTROL_WORDS = ("@alive", "@answer", "@control", "@counters", "@host", "@latest", "@run", "@state", "@tap")
 
 # measured: by default large messages are lost on slow links (after 50 ms) and a stall of 5 s closes the
-# link, without a word; the shared-memory pool must fit the usual 8 MB of locked memory
+# link, without a word; opening waits half a second for others to turn up; a host that comes late, or back
+# after a cut, is met after up to 4 s; Zenoh's shared memory stays behind after a kill (and `links.ring`
+# carries what is large)
 _FIXED: dict[str, Any] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": True,
+    "scouting/delay": 0,  # ms
+    "connect/retry": {"period_init_ms": 20, "period_max_ms": 1000, "period_increase_factor": 2},
     "timestamping/enabled": True,
     "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 1_000_000,  # us
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000,  # us
-    "transport/shared_memory/transport_optimization/pool_size": 4 << 20,
+    "transport/shared_memory/enabled": False,
 }
 
 

@@ -30,13 +30,6 @@ FLUSH_S = 30.0  # how long the last messages of a run may take to arrive
 SPAWN_POLL_S = 0.005
 CLOSE_S = 0.5
 
-_FIXED: dict[str, Any] = {
-    # Zenoh's own shared memory would stay behind after a kill, and `links.ring` carries what is large
-    "transport/shared_memory/enabled": False,
-    # a host that comes late, or back after a cut, is met soon: by default it takes up to 4 s
-    "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
-}
-
 
 @dataclass(frozen=True)
 class Assignment:
@@ -78,7 +71,7 @@ class Assignment:
 def open_session(settings: dict[str, Any]) -> zenoh.Session:
     """A Zenoh session with these settings; never in a process that was forked from one with a session."""
     config = zenoh.Config()
-    for key, value in {**settings, **_FIXED}.items():
+    for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)
 
