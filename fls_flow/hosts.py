@@ -53,11 +53,13 @@ def offer(session: zenoh.Session, deployment: Deployment, terms: RunTerms) -> An
     return session.declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
 
 
-def ask(session: zenoh.Session, deployment: Deployment, graph: str, stopped: threading.Event) -> RunTerms:
+def ask(
+    session: zenoh.Session, deployment: Deployment, graph: str, stopped: threading.Event
+) -> RunTerms | None:
     """The terms of the leader's run, waited for.
 
-    Raises UserError when its graph or deployment is another one, RunError when it does not answer in time or
-    `stopped` came first.
+    None when `stopped` came first. Raises UserError when its graph or deployment is another one, RunError
+    when it does not answer in time.
     """
     deadline = time.monotonic() + deployment.connect_timeout_s
     while not stopped.is_set():
@@ -72,7 +74,7 @@ def ask(session: zenoh.Session, deployment: Deployment, graph: str, stopped: thr
                 f"host '{deployment.leader}' {waited}; is it running, and does 'connect' lead there?"
             )
         stopped.wait(ASK_S)
-    raise RunError(f"stopped before host '{deployment.leader}' answered")
+    return None
 
 
 def _agree(terms: RunTerms, deployment: Deployment, graph: str) -> None:

@@ -55,12 +55,24 @@ def meeting_place(run: str, names: Iterable[str]) -> Iterator[Path]:
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise RunError(f"{folder}: is not a private folder of this user; remove it or set XDG_RUNTIME_DIR")
+    _sweep(folder)
     path = folder / run
     path.mkdir(mode=0o700)
     try:
         yield path
     finally:
         shutil.rmtree(path, ignore_errors=True)
+
+
+def _sweep(folder: Path) -> None:
+    """Remove what runs that were killed whole have left behind."""
+    for path in folder.glob(f"*/{ABOUT}"):
+        try:
+            os.kill(json.loads(path.read_text(encoding="utf-8"))["pid"], 0)
+        except ProcessLookupError:
+            shutil.rmtree(path.parent, ignore_errors=True)
+        except (OSError, ValueError, TypeError, KeyError):
+            continue  # it has just ended, or is not ours to judge
 
 
 def announce(place: Path, graph: str, run: str, host: str, endpoint: str) -> None:

@@ -118,6 +118,8 @@ class Supervisor:
             session = open_session(self.deployment.zenoh_config(self.host, listen=[hub]))
             try:
                 terms = self._agree(session)
+                if terms is None:
+                    return self._never_began(time.monotonic() - began)
                 assignment = self._assignment(terms, place)
                 announce(place, self.graph.name, terms.run, self.host, hub)
                 self._bear(assignment)
@@ -132,10 +134,12 @@ class Supervisor:
                 close_session(session)
         return self._report(time.monotonic() - began)
 
-    def _agree(self, session: zenoh.Session) -> RunTerms:
-        """The terms of the run: the leader's own, or what it answers."""
+    def _agree(self, session: zenoh.Session) -> RunTerms | None:
+        """The terms of the run: the leader's own, or what it answers; None when stopped before."""
         if self.host != self.deployment.leader:
             terms = ask(session, self.deployment, self.graph.digest, self._stop_asked)
+            if terms is None:
+                return None
             self.id, self._pace = terms.run, Pace(terms.window, terms.live)
             self.window = terms.window
             return terms
@@ -386,6 +390,14 @@ class Supervisor:
             child.output.close()
         os.close(self._wake_read)
         os.close(self._wake_write)
+
+    def _never_began(self, seconds: float) -> Report:
+        """The report of a host that was stopped while it waited for the leader."""
+        self._nursery.end()
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+        counts = {name: NodeCounts() for name in self.deployment.nodes(self.host)}
+        return Report("interrupted", 0, seconds, counts)
 
     def _report(self, seconds: float) -> Report:
         status: Literal["finished", "interrupted", "failed"] = (

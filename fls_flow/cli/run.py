@@ -165,6 +165,7 @@ def _run(
         except FlsFlowError as error:
             folder.record({**about, "status": "failed", "error": str(error), "ended": _now()})
             raise
+    about |= {"run": one.id, "window": one.window}  # a host that does not lead has learnt them
     try:
         folder.record({**about, "ended": _now(), **report.summary()})
     except RunError as error:  # a full disk has most likely ended the run already: that is the one to tell

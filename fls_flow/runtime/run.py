@@ -20,7 +20,7 @@ from fls_flow.observe import NodeCounts
 from fls_flow.parameters import resolve
 from fls_flow.runtime.node import NodeHost, cause_of
 from fls_flow.runtime.source import ClockHost, StreamHost
-from fls_flow.runtime.threads import pin_this_thread, single_threaded
+from fls_flow.runtime.threads import limit_this_thread, limited_threads
 
 __all__ = ["Options", "Pace", "Report", "Run", "Share", "finished_pings", "holders", "pace_of"]
 
@@ -40,8 +40,8 @@ class Options:
     pace, shedding like a live source; None: as fast as the nodes go. in_order: one node after the other in
     the calling thread. stream_wait_s: how long a live ping waits for a stream. grace_s: how long pings in
     flight may take after a stop. deadline_s: a node at work on one ping for so long has hung (on its
-    first, which compiles: ten times as long). samples_taken: by node and port, how many samples of a stream
-    each ping of a live run got, so that its replay repeats it.
+    first, which compiles: ten times as long). threads: of BLAS, OpenCV and numba. samples_taken: by node and
+    port, how many samples of a stream each ping of a live run got, so that its replay repeats it.
     """
 
     window: int | None = None
@@ -50,6 +50,7 @@ class Options:
     stream_wait_s: float = 0.2
     grace_s: float = 1.5
     deadline_s: float = 60.0
+    threads: int = 1
     samples_taken: Mapping[str, Mapping[str, Sequence[int]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -163,7 +164,7 @@ class Run:
         """Run to the end and close every node; never raises what a node raised, but reports it."""
         began = time.monotonic()
         try:
-            with single_threaded():
+            with limited_threads(self.options.threads):
                 if self.options.in_order:
                     self._in_order()
                 else:
@@ -262,7 +263,7 @@ class Run:
     # --- scheduling ------------------------------------------------------------------------------
 
     def _in_order(self) -> None:
-        pin_this_thread()
+        limit_this_thread(self.options.threads)
         while not all(host.done for host in self._hosts):
             if self._aborted.is_set():
                 return
@@ -315,7 +316,7 @@ class Run:
         self._stuck = {thread.name for thread in threads if thread.is_alive()}
 
     def _serve(self, host: Host) -> None:
-        pin_this_thread()
+        limit_this_thread(self.options.threads)
         while not (host.done or self._aborted.is_set()):
             if self._step(host) or host.done:
                 continue

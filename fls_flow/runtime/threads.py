@@ -1,4 +1,4 @@
-"""One BLAS, OpenCV and numba thread: so that bits and load do not depend on the machine."""
+"""A fixed number of BLAS, OpenCV and numba threads: so that bits and load do not depend on the machine."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from contextlib import contextmanager
 
 from threadpoolctl import threadpool_limits
 
-__all__ = ["pin_this_thread", "single_threaded"]
+__all__ = ["limit_this_thread", "limited_threads"]
 
 
 @contextmanager
-def single_threaded() -> Iterator[None]:
-    """Limit the process's numerical libraries to one thread each, as far as they are loaded."""
+def limited_threads(threads: int = 1) -> Iterator[None]:
+    """Limit the process's numerical libraries to so many threads each, as far as they are loaded."""
     cv2 = sys.modules.get("cv2")
     before = cv2.getNumThreads() if cv2 is not None else 0
-    with threadpool_limits(limits=1):
+    with threadpool_limits(limits=threads):
         if cv2 is not None:
-            cv2.setNumThreads(1)
+            cv2.setNumThreads(threads)
         try:
             yield
         finally:
@@ -26,9 +26,9 @@ def single_threaded() -> Iterator[None]:
                 cv2.setNumThreads(before)
 
 
-def pin_this_thread() -> None:
-    """Limit what counts its threads by calling thread: numba and OpenMP."""
+def limit_this_thread(threads: int = 1) -> None:
+    """Limit what counts its threads by calling thread: numba, as far as it has so many, and OpenMP."""
     numba = sys.modules.get("numba")
     if numba is not None:
-        numba.set_num_threads(1)
-    threadpool_limits(limits=1, user_api="openmp")
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    threadpool_limits(limits=threads, user_api="openmp")

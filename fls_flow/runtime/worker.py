@@ -143,7 +143,7 @@ class _Worker:
             placement.holders,
             placement.free,
         )
-        options = Options(window=assignment.pace.window, **assignment.options)
+        options = Options(window=assignment.pace.window, threads=group.threads, **assignment.options)
         out = Path(assignment.out)
         self._run = Run(graph, options, out=out, on_finished=self._count, share=share)
         self._live = LiveState(self._session, assignment.prefix, assignment.host, group.name, self._run)

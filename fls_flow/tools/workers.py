@@ -13,7 +13,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnContext, SpawnProcess
 
-from fls_flow.runtime.threads import pin_this_thread, single_threaded
+from fls_flow.runtime.threads import limit_this_thread, limited_threads
 from fls_flow.tools.cell import Row, Task, run_cell
 
 __all__ = ["in_processes"]
@@ -104,8 +104,8 @@ def _work(pipe: Connection) -> None:
     """Answer tasks until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.getLogger().addHandler(logging.NullHandler())  # what goes wrong is in the row
-    with single_threaded():
-        pin_this_thread()
+    with limited_threads():
+        limit_this_thread()
         while True:
             try:
                 pipe.send(run_cell(pipe.recv()))

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -20,94 +20,7 @@ from fls_flow import graph as graphs
 FLS_FLOW = [sys.executable, "-m", "fls_flow.cli"]
 ROOT = Path(__file__).parents[2]
 
-KINDS = '''
-import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
-
-import numpy as np
-
-from fls_flow import Detections, Message, NavState, Ping, hookimpl, wire
-
-
-@dataclass
-class Pings:
-    """Pings of some size, 10 a second by their stamps."""
-
-    pings: int = 40
-    cells: int = 100
-
-    def __call__(self) -> Iterator[Ping]:
-        for n in range(self.pings):
-            image = np.full((self.cells, 3), n, np.float32)
-            yield Ping(n, n * 100_000_000, image, np.arange(float(self.cells)), np.arange(3.0))
-
-    def __len__(self) -> int:
-        return self.pings
-
-
-@dataclass
-class Nav:
-    rate_hz: float = 33.0
-
-    def __call__(self) -> Iterator[NavState]:
-        for n in range(100_000):
-            yield NavState(n, int(n * 1e9 / self.rate_hz))
-
-
-@dataclass
-class Slow:
-    """Sleeps; gives what it has got, so that loss or disorder shows."""
-
-    sleep_s: float = 0.0
-    fail_at: int = -1
-
-    def __call__(self, ping: Ping, nav: tuple[NavState, ...] = ()) -> Detections:
-        time.sleep(self.sleep_s)
-        if ping.seq == self.fail_at:
-            raise ValueError("no echo today")
-        values = [float(ping.amplitude[-1, -1]), *(one.stamp_ns * 1e-9 for one in nav)]
-        zeros = np.zeros(len(values))
-        return Detections.of(ping, range_m=values, bearing_rad=zeros, amplitude=zeros)
-
-
-@dataclass
-class Lazy:
-    """A sink that cannot keep up; notes what it got."""
-
-    path: Path = Path("lazy.txt")
-    sleep_s: float = 0.3
-    _seen: list = field(default_factory=list, init=False, repr=False)
-
-    def __call__(self, detections: Detections, ping: Ping) -> None:
-        time.sleep(self.sleep_s)
-        if detections.seq != ping.seq:
-            raise ValueError("inputs of different pings")
-        self._seen.append(detections.seq)
-
-    def close(self) -> None:
-        self.path.write_text(" ".join(map(str, self._seen)))
-
-
-@dataclass
-class Recorder:
-    """Writes the bytes of everything it gets."""
-
-    path: Path = Path("messages.bin")
-    _file: object = field(default=None, init=False, repr=False)
-
-    def __call__(self, **ports: Message) -> None:
-        if self._file is None:
-            self._file = self.path.open("xb")
-        for name in sorted(ports):
-            self._file.write(wire.encode(ports[name]))
-
-    def close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-'''
-MODULE = "{kinds}\n\n@hookimpl\ndef fls_node():\n    return {name}\n"
+SITE = ROOT / "tests" / "site"  # a distribution with kinds for tests
 GRAPH = """
 graph: toy
 nodes:
@@ -120,16 +33,7 @@ nodes:
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Path]:
-    """A folder with the graph `toy.yaml` and, in `site`, a distribution with its kinds."""
-    info = tmp_path / "site" / "acme-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
-    kinds = ("Pings", "Nav", "Slow", "Lazy", "Recorder")
-    names = {f"acme-{name.lower()}": name for name in kinds}
-    lines = [f"{kind} = acme_{name.lower()}" for kind, name in names.items()]
-    (info / "entry_points.txt").write_text("[fls_flow]\n" + "\n".join(lines) + "\n")
-    for name in names.values():
-        (tmp_path / "site" / f"acme_{name.lower()}.py").write_text(MODULE.format(kinds=KINDS, name=name))
+    """A folder with the graph `toy.yaml`."""
     (tmp_path / "toy.yaml").write_text(GRAPH)
     with tempfile.TemporaryDirectory(prefix="fls") as short:  # names of sockets have to be short
         (tmp_path / "run").symlink_to(short)
@@ -137,7 +41,7 @@ def place(tmp_path: Path) -> Iterator[Path]:
 
 
 def environment(place: Path) -> dict[str, str]:
-    paths = {"PYTHONPATH": str(place / "site"), "XDG_RUNTIME_DIR": str((place / "run").resolve())}
+    paths = {"PYTHONPATH": str(SITE), "XDG_RUNTIME_DIR": str((place / "run").resolve())}
     return {**os.environ, **paths, "COLUMNS": "160"}
 
 
@@ -149,11 +53,11 @@ def start(place: Path) -> Iterator[Start]:
     """Start `fls-flow run`; afterwards nothing of it may be left."""
     started: list[subprocess.Popen[str]] = []
 
-    def begin(*words: str) -> subprocess.Popen[str]:
+    def begin(*words: str, within: Sequence[str] = (), **variables: str) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [*FLS_FLOW, "run", *words],
+            [*within, *FLS_FLOW, "run", *words],
             cwd=place,
-            env=environment(place),
+            env={**environment(place), **variables},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -389,15 +293,55 @@ def test_when_the_supervisor_is_killed_the_others_notice_and_end(place, start):
 
 
 def test_what_a_node_prints_is_shown_with_its_name(place, start):
-    (place / "site" / "acme_slow.py").write_text(
-        MODULE.format(
-            kinds=KINDS.replace("time.sleep(self.sleep_s)", "print('hello', ping.seq)"), name="Slow"
-        )
-    )
-    code, _, err = ended(start("toy.yaml", "--out", "o", "--set", "sonar.pings=2"))
+    words = ["--set", "sonar.pings=2", "--set", "slow.says=hello"]
+    code, _, err = ended(start("toy.yaml", "--out", "o", *words))
     assert code == 0
     assert "[slow] hello 0" in err
     assert "[slow] hello 1" in err
+
+
+def test_a_process_has_as_many_threads_as_its_deployment_says(place, start):
+    (place / "g.yaml").write_text(
+        "graph: g\nnodes:\n  sonar: {use: acme-pings, with: {pings: 2}}\n"
+        "  one: {use: acme-threads, in: {ping: sonar}}\n  two: {use: acme-threads, in: {ping: sonar}}\n"
+        "  csv1: {use: detection-csv, in: {detections: one}, with: {path: one.csv}}\n"
+        "  csv2: {use: detection-csv, in: {detections: two}, with: {path: two.csv}}\n"
+    )
+    (place / "d.yaml").write_text("deployment: d\nthreads: {two: 2}\n")
+    code, _, err = ended(start("g.yaml", "--deploy", "d.yaml", "--out", "o"))
+    assert code == 0, err
+    cores = os.cpu_count() or 1
+    for name, threads in (("one", 1), ("two", 2)):
+        numba, opencv, blas = (float(row["range_m"]) for row in rows(place / "o" / f"{name}.csv")[:3])
+        assert (numba, opencv) == (min(threads, cores), threads)
+        assert blas <= threads
+
+
+def test_a_user_without_privileges_has_the_same_bytes_through_shared_memory(place, start, tmp_path):
+    """A small limit of locked memory is what Zenoh's own shared memory gives up at, without a word."""
+    own = tmp_path / "own"
+    own.mkdir()
+    words = ["--set", "sonar.pings=20", "--set", "sonar.cells=40000"]
+    plain = ["prlimit", "--memlock=65536:65536"]
+    if os.geteuid() == 0:  # may read what the tests have installed, and nothing else
+        may = [
+            "--inh-caps=-all,+dac_read_search",
+            "--ambient-caps=+dac_read_search",
+            "--bounding-set=-all,+dac_read_search",
+        ]
+        plain += ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", *may]
+        for folder in (own, (place / "run").resolve()):
+            os.chown(folder, 65534, 65534)
+    graph = str(place / "recorded.yaml")
+    Path(graph).write_text(GRAPH + "  rec: {use: acme-recorder, in: {ping: sonar, slow: slow}}\n")
+    process = start(graph, "--out", str(own / "o"), *words, within=plain, HOME=str(own))
+    code, _, err = ended(process)
+    assert code == 0, err
+    assert "sent as bytes" not in err
+    code, _, err = ended(start(graph, "--in-process", "--out", str(own / "here"), *words))
+    assert code == 0, err
+    for name in ("detections.csv", "messages.bin"):
+        assert (own / "o" / name).read_bytes() == (own / "here" / name).read_bytes()
 
 
 # --- sinks that may lose pings -------------------------------------------------------------------

@@ -13,105 +13,13 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 FLS_FLOW = [sys.executable, "-m", "fls_flow.cli"]
 
-KINDS = '''
-import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
-
-import numpy as np
-
-from fls_flow import Detections, Message, NavState, Ping, hookimpl, wire
-
-
-@dataclass
-class Pings:
-    """Pings of some size that do not compress, 10 a second by their stamps."""
-
-    pings: int = 40
-    cells: int = 100
-
-    def __call__(self) -> Iterator[Ping]:
-        for n in range(self.pings):
-            image = np.random.default_rng(n).random((self.cells, 3), np.float32)
-            image[-1, -1] = n
-            yield Ping(n, n * 100_000_000, image, np.arange(float(self.cells)), np.arange(3.0))
-
-    def __len__(self) -> int:
-        return self.pings
-
-
-@dataclass
-class Nav:
-    rate_hz: float = 33.0
-
-    def __call__(self) -> Iterator[NavState]:
-        for n in range(100_000):
-            yield NavState(n, int(n * 1e9 / self.rate_hz))
-
-
-@dataclass
-class Slow:
-    """Sleeps; gives what it has got, so that loss or disorder shows."""
-
-    sleep_s: float = 0.0
-    fail_at: int = -1
-
-    def __call__(
-        self, ping: Ping, nav: tuple[NavState, ...] = (), before: Detections | None = None
-    ) -> Detections:
-        time.sleep(self.sleep_s)
-        if ping.seq == self.fail_at:
-            raise ValueError("no echo today")
-        values = [float(ping.amplitude[-1, -1]), *(one.stamp_ns * 1e-9 for one in nav)]
-        values.append(-1.0 if before is None else float(before.range_m.sum()))
-        zeros = np.zeros(len(values))
-        return Detections.of(ping, range_m=values, bearing_rad=zeros, amplitude=zeros)
-
-
-@dataclass
-class Judge:
-    """Keeps a sum over all pings, so that a lost or doubled one shows in all that follow."""
-
-    _sum: float = field(default=0.0, init=False, repr=False)
-
-    def __call__(self, ping: Ping, detections: Detections) -> Detections:
-        self._sum += float(detections.range_m[0])
-        values = [self._sum, float(ping.amplitude.sum(dtype=np.float64))]
-        zeros = np.zeros(len(values))
-        return Detections.of(ping, range_m=values, bearing_rad=zeros, amplitude=zeros)
-
-    def snapshot(self) -> dict:
-        return {"sum": self._sum}
-
-    def restore(self, state: dict) -> None:
-        self._sum = state["sum"]
-
-
-@dataclass
-class Recorder:
-    """Writes the bytes of everything it gets."""
-
-    path: Path = Path("messages.bin")
-    _file: object = field(default=None, init=False, repr=False)
-
-    def __call__(self, **ports: Message) -> None:
-        if self._file is None:
-            self._file = self.path.open("xb")
-        for name in sorted(ports):
-            self._file.write(wire.encode(ports[name]))
-
-    def close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-'''
-MODULE = "{kinds}\n\n@hookimpl\ndef fls_node():\n    return {name}\n"
-
+SITE = Path(__file__).parents[1] / "site"  # a distribution with kinds for tests
 # with vehicle: [sonar, judge] every sort of wire crosses hosts: data both ways, feedback, a stream, sinks
 GRAPH = """
 graph: toy
@@ -148,19 +56,7 @@ class Rig:
         self.place, self._run = place, run
         self._started: list[subprocess.Popen[str]] = []
         self._others: list[subprocess.Popen[str]] = []
-        self._install()
-
-    def _install(self) -> None:
-        info = self.place / "site" / "acme-1.0.dist-info"
-        info.mkdir(parents=True)
-        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
-        names = ["Pings", "Nav", "Slow", "Judge", "Recorder"]
-        lines = [f"acme-{name.lower()} = acme_{name.lower()}" for name in names]
-        (info / "entry_points.txt").write_text("[fls_flow]\n" + "\n".join(lines) + "\n")
-        for name in names:
-            module = self.place / "site" / f"acme_{name.lower()}.py"
-            module.write_text(MODULE.format(kinds=KINDS, name=name))
-        (self.place / "toy.yaml").write_text(GRAPH)
+        (place / "toy.yaml").write_text(GRAPH)
 
     def deploy(
         self, zenoh: str, *more: str, hosts: str = HOSTS, file: str = "d.yaml", name: str = "pair"
@@ -181,7 +77,7 @@ class Rig:
     def environment(self, host: str) -> dict[str, str]:
         folder = self._run / host
         folder.mkdir(exist_ok=True)
-        paths = {"PYTHONPATH": str(self.place / "site"), "XDG_RUNTIME_DIR": str(folder)}
+        paths = {"PYTHONPATH": str(SITE), "XDG_RUNTIME_DIR": str(folder)}
         return {**os.environ, **paths, "COLUMNS": "160"}
 
     def host(
@@ -263,6 +159,10 @@ class Rig:
         with (self.place / host / "detections.csv").open(newline="") as file:
             return list(csv.DictReader(file))
 
+    def wait_for_folder(self, host: str, timeout_s: float = 60.0) -> None:
+        """Wait until a host has begun to write about its run."""
+        wait_for((self.place / host / "run.json").is_file, timeout_s)
+
     def wait_until_running(self, host: str = "topside", size: int = 5000, timeout_s: float = 60.0) -> None:
         path = self.place / host / "detections.csv"
         wait_for(lambda: path.is_file() and path.stat().st_size > size, timeout_s)
@@ -273,10 +173,13 @@ class Rig:
             assert whole
             assert (self.place / host / name).read_bytes() == whole, name
 
-    def status(self, host: str) -> str:
-        said = json.loads((self.place / host / "run.json").read_text())["status"]
-        assert isinstance(said, str)
+    def about(self, host: str) -> dict[str, Any]:
+        """What the host's run.json says."""
+        said: dict[str, Any] = json.loads((self.place / host / "run.json").read_text())
         return said
+
+    def status(self, host: str) -> str:
+        return str(self.about(host)["status"])
 
     def left_over(self, wait_s: float = 5.0) -> list[str]:
         """Processes and files of runs, after a moment in which they may end."""

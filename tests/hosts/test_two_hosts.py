@@ -28,6 +28,27 @@ def test_two_hosts_give_the_bytes_of_one_process_in_whatever_order_they_start(ri
     assert (rig.status("vehicle"), rig.status("topside")) == ("finished", "finished")
 
 
+def test_both_hosts_note_one_run(rig, finish):
+    rig.loopback()
+    started = [rig.host(host) for host in ("vehicle", "topside")]
+    for process in started:
+        assert finish(process)[0] == 0
+    vehicle, topside = rig.about("vehicle"), rig.about("topside")
+    assert vehicle["run"] == topside["run"]
+
+
+def test_a_host_that_waits_for_its_leader_is_stopped_by_ctrl_c(rig, finish):
+    rig.loopback()
+    topside = rig.host("topside")
+    rig.wait_for_folder("topside")
+    time.sleep(0.5)
+    topside.send_signal(signal.SIGINT)
+    code, out, err = finish(topside)
+    assert code == 130, err
+    assert "interrupted" in out
+    assert rig.status("topside") == "interrupted"
+
+
 def test_the_leader_waits_for_a_host_that_comes_later(rig, finish):
     rig.loopback()
     rig.here()

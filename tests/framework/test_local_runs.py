@@ -1,0 +1,44 @@
+"""The private folder in which the runs of a user meet."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from fls_flow import local_runs
+
+
+@pytest.fixture
+def base(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path / "fls-flow"
+
+
+def of(pid: int) -> str:
+    about = {"run": "r", "graph": "g", "host": "h", "endpoint": "e", "pid": pid}
+    return json.dumps(about)
+
+
+def test_what_a_run_that_was_killed_has_left_is_removed_by_the_next(base):
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    for name, text in (("dead", of(dead.pid)), ("alive", of(os.getpid())), ("odd", "{"), ("empty", "{}")):
+        (base / name).mkdir(parents=True)
+        (base / name / "run.json").write_text(text)
+    base.chmod(0o700)
+    (base / "young").mkdir()  # its run has made it and not announced itself yet
+    with local_runs.meeting_place("mine", ["hub"]) as place:
+        assert sorted(path.name for path in base.iterdir()) == ["alive", "empty", "mine", "odd", "young"]
+        assert place == base / "mine"
+    assert not (base / "mine").exists()
+
+
+def test_a_folder_that_others_may_enter_is_refused(base):
+    base.mkdir(mode=0o755)
+    base.chmod(0o755)
+    with pytest.raises(local_runs.RunError, match="not a private folder"), local_runs.meeting_place("r", []):
+        raise AssertionError("never entered")
