@@ -43,6 +43,7 @@ CONTESTANTS = (
     Contestant("ezmsg", "over_ezmsg", "", "ezmsg", "pip install ezmsg"),
     Contestant("ring", "over_ring", "tcp", "fls_flow.links.ring"),
     Contestant("link", "over_link", "tcp", "fls_flow.links.zenoh"),
+    Contestant("runtime", "over_runtime", "tcp", "fls_flow.runtime.run"),
 )
 
 

@@ -24,7 +24,19 @@ from fls_flow.links.placement import Placement
 from fls_flow.links.zenoh import ZenohLink
 from fls_flow.messages import Sealed
 
-__all__ = ["publish", "receive", "send", "subscribe"]
+__all__ = [
+    "WINDOW",
+    "Array",
+    "Block",
+    "Taker",
+    "failed",
+    "graph",
+    "link",
+    "publish",
+    "receive",
+    "send",
+    "subscribe",
+]
 
 WINDOW = 8
 
@@ -63,11 +75,11 @@ def send(setting: Setting) -> None:
 
 def publish(opened: zenoh.Session, setting: Setting) -> None:
     """The same over a session that is there."""
-    link = _link(opened, setting, "source")
+    own = link(opened, setting, "source")
     setting.wait_ready()
-    while link.unmatched():
+    while own.unmatched():
         time.sleep(0.005)
-    inbox, finished = link.inbox("source"), dict.fromkeys(_takers(setting), -1)
+    inbox, finished = own.inbox("source"), dict.fromkeys(_takers(setting), -1)
     index = 0
     for item in setting.messages():
         if isinstance(item, float):
@@ -79,9 +91,9 @@ def publish(opened: zenoh.Session, setting: Setting) -> None:
                 finished[found.node] = found.index
             elif setting.all_done():
                 break
-        link.send("source", "block", index, Block(index, index, item))
+        own.send("source", "block", index, Block(index, index, item))
         index += 1
-    link.close()
+    own.close()
 
 
 def receive(setting: Setting, tally: Tally) -> None:
@@ -93,9 +105,9 @@ def receive(setting: Setting, tally: Tally) -> None:
 def subscribe(opened: zenoh.Session, setting: Setting, tally: Tally) -> None:
     """The same over a session that is there."""
     name = _takers(setting)[tally.index]
-    link = _link(opened, setting, name)
-    inbox, more = link.inbox(name), True
-    while link.unmatched():
+    own = link(opened, setting, name)
+    inbox, more = own.inbox(name), True
+    while own.unmatched():
         time.sleep(0.005)
     setting.ready(tally.index)
     while more:
@@ -106,32 +118,36 @@ def subscribe(opened: zenoh.Session, setting: Setting, tally: Tally) -> None:
             more = tally.take(found.message.cells)
             found = None  # its slot is free when nothing refers to it
             inbox.release("block")
-            link.finished(name, index)
+            own.finished(name, index)
     tally.save()
-    link.close()
+    own.close()
 
 
 def _takers(setting: Setting) -> tuple[str, ...]:
     return tuple(f"taker-{index}" for index in range(setting.readers))
 
 
-def _link(opened: zenoh.Session, setting: Setting, process: str) -> ZenohLink:
-    """The link of one process: each node has its own, named as the node."""
-    takers = _takers(setting)
+def graph(setting: Setting) -> Graph:
+    """The source, and a taker per reader."""
     wire = Input("block", "source", "block")
     nodes = (
         Node("source", describe(Array), {}),
-        *(Node(taker, describe(Taker), {}, inputs=(wire,)) for taker in takers),
+        *(Node(taker, describe(Taker), {}, inputs=(wire,)) for taker in _takers(setting)),
     )
+    return Graph("g", nodes, "source")
+
+
+def link(opened: zenoh.Session, setting: Setting, process: str) -> ZenohLink:
+    """The link of one process: each node has its own, named as the node."""
+    takers = _takers(setting)
     everywhere = ("source", *takers)
     placement = Placement(
         dict(zip(everywhere, everywhere, strict=True)), dict.fromkeys(everywhere, "here"), takers
     )
-    arena = f"fls-{setting.key}-{process}"
-    return ZenohLink(
-        opened, f"fls/{setting.key}", Graph("g", nodes, "source"), placement, process, WINDOW, _failed, arena
-    )
+    prefix, arena = f"fls/{setting.key}", f"fls-{setting.key}-{process}"
+    return ZenohLink(opened, prefix, graph(setting), placement, process, WINDOW, failed, arena)
 
 
-def _failed(error: Exception) -> None:
+def failed(error: Exception) -> None:
+    """Nothing may go wrong here."""
     raise error
