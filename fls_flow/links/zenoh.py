@@ -16,21 +16,29 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import msgpack
-import numpy as np
-import numpy.typing as npt
 import zenoh
 
 from fls_flow import wire
 from fls_flow.errors import LinkError
 from fls_flow.graph import Graph
 from fls_flow.links import ClockEnd, Finished, Inbox, Started
+from fls_flow.links._ends import (
+    CLOCK_END,
+    DELIVERY,
+    END,
+    FINISHED,
+    SAMPLE,
+    STARTED,
+    Arrived,
+    Inlet,
+    Outlet,
+    Report,
+)
 from fls_flow.links.memory import MemoryInbox, MemoryLink
 from fls_flow.links.placement import Placement, controls, takers
 from fls_flow.links.ring import MAX_READERS, Arena, Descriptor, Window
@@ -41,9 +49,7 @@ __all__ = ["ZenohLink"]
 
 log = logging.getLogger(__name__)
 
-DELIVERY, END, SAMPLE, FINISHED, STARTED, CLOCK_END = range(6)
 SHARED_FROM = 131072  # bytes; below that, a copy costs less than a lease
-CLOSE_S = 1e-3  # firings that follow each other more closely may be told together
 ANSWER_S = 0.02  # how long acknowledgements are gathered: they free memory, nothing waits for them
 
 
@@ -75,12 +81,12 @@ class ZenohLink:
         }
         self._arena = None if arena is None else Arena(arena)
         self._shared = Window()
-        self._senders: dict[str, _Outlet] = {}
-        self._outputs: dict[tuple[str, str], list[_Outlet]] = {}
-        self._receivers: dict[str, _Inlet] = {}
+        self._senders: dict[str, Outlet] = {}
+        self._outputs: dict[tuple[str, str], list[Outlet]] = {}
+        self._receivers: dict[str, Inlet] = {}
         self._answers: dict[str, zenoh.Publisher] = {}
         self._reports = {
-            node: _Report(partial(self._tell_finished, node), inbox, window)
+            node: Report(partial(self._tell_finished, node), inbox, window)
             for node in placement.holders
             if node in self._nodes and isinstance(inbox := self._local.inbox(node), MemoryInbox)
         }
@@ -203,7 +209,7 @@ class ZenohLink:
         if giver == self._process:
             publisher = self._publisher(key, zenoh.CongestionControl.DROP)
             sender = NewestSender(lambda packet: _put(publisher, packet), [taker], self._window)
-            outlet = self._kept(key, _Outlet(publisher, sender))
+            outlet = self._kept(key, Outlet(publisher, sender))
             self._outputs.setdefault((node, port), []).append(outlet)
         elif taker == self._process:
             self._inlet(key, giver, (node, port, True), 0)
@@ -215,14 +221,14 @@ class ZenohLink:
         self._declared.append(publisher)
         return publisher
 
-    def _outlet(self, key: str, receivers: Iterable[str], *, shares: bool = False) -> _Outlet:
+    def _outlet(self, key: str, receivers: Iterable[str], *, shares: bool = False) -> Outlet:
         publisher = self._publisher(key, zenoh.CongestionControl.BLOCK)
         receivers = sorted(receivers)
         sender = Sender(lambda packet: _put(publisher, packet), receivers)
         readers = len(receivers) if shares and self._arena and len(receivers) <= MAX_READERS else 0
-        return self._kept(key, _Outlet(publisher, sender, readers))
+        return self._kept(key, Outlet(publisher, sender, readers))
 
-    def _kept(self, key: str, outlet: _Outlet) -> _Outlet:
+    def _kept(self, key: str, outlet: Outlet) -> Outlet:
         def back(status: zenoh.MatchingStatus) -> None:
             if status.matching:  # whoever comes back after a cut misses what was put meanwhile
                 outlet.sender.resend()
@@ -246,7 +252,7 @@ class ZenohLink:
             else:
                 self._take_data(route, packet, reader)
 
-        inlet = _Inlet(giver, Receiver(deliver))
+        inlet = Inlet(giver, Receiver(deliver))
         self._receivers[key] = inlet
         self._subscribe(key, lambda sample: self._arrived(key, inlet, sample))
 
@@ -289,7 +295,7 @@ class ZenohLink:
 
     # --- in --------------------------------------------------------------------------------------
 
-    def _arrived(self, key: str, inlet: _Inlet, sample: zenoh.Sample) -> None:
+    def _arrived(self, key: str, inlet: Inlet, sample: zenoh.Sample) -> None:
         try:
             number, *header = _attached(sample)
             gap = inlet.receiver.take(Packet(number, tuple(header), sample.payload.to_bytes()))
@@ -305,7 +311,7 @@ class ZenohLink:
             self._local.deliver_end(route, number)
             return
         held = partial(self._shared.open, Descriptor(*place), reader) if place else packet.payload
-        arrived = _Arrived(held, self._types[route[:2]])
+        arrived = Arrived(held, self._types[route[:2]])
         self._local.deliver_coming(route, number if kind == DELIVERY else None, arrived)
 
     def _take_control(self, packet: Packet) -> None:
@@ -351,73 +357,6 @@ class ZenohLink:
                 self._senders[key].sender.resend(first, last)
         except Exception as error:
             self._failed(LinkError(f"an answer that makes no sense: {error!r}"))
-
-
-@dataclass
-class _Outlet:
-    publisher: zenoh.Publisher
-    sender: Sender
-    readers: int = 0  # of shared memory; 0: bytes travel
-
-    def end(self, last: int) -> None:
-        """Nothing comes after firing `last`."""
-        if isinstance(self.sender, NewestSender):
-            self.sender.finish((END, last))
-        else:
-            self.sender.send((END, last))
-
-
-class _Report:
-    """What the clock is told of a node that holds the window: the newest firing that it has finished.
-
-    While firings follow each other closely some are told together: at most half a window waits, and nothing
-    while the node waits.
-    """
-
-    def __init__(self, tell: Callable[[int], None], inbox: MemoryInbox, window: int) -> None:
-        self._tell, self._inbox, self._most = tell, inbox, max(1, window // 2)
-        self._index = self._told = -1
-        self._when = 0.0
-
-    def finished(self, index: int) -> None:
-        """The node is done with a firing."""
-        self._index = index
-        if index - self._told >= self._most or time.monotonic() - self._when >= CLOSE_S:
-            self.tell()
-        else:
-            self._inbox.before_waiting = self.tell
-
-    def tell(self) -> None:
-        """Tell what was not told."""
-        self._inbox.before_waiting = None
-        if self._index > self._told:
-            self._told, self._when = self._index, time.monotonic()
-            self._tell(self._index)
-
-
-class _Arrived:
-    """A message as it travelled; the first of its takers opens it for all."""
-
-    def __init__(self, held: bytes | Callable[[], npt.NDArray[np.uint8]], message_type: type[Any]) -> None:
-        self._held, self._type = held, message_type
-        self._message: Message | None = None
-        self._lock = threading.Lock()
-
-    def __call__(self) -> Message:
-        """The message; raises LinkError or WireError when it cannot be read."""
-        with self._lock:
-            if self._message is None:
-                held = self._held if isinstance(self._held, bytes) else self._held().data
-                self._message = wire.decode(held, self._type)
-                self._held = b""
-            return self._message
-
-
-@dataclass
-class _Inlet:
-    giver: str
-    receiver: Receiver
-    unanswered: bool = False
 
 
 def _put(publisher: zenoh.Publisher, packet: Packet) -> None:

@@ -1,0 +1,105 @@
+"""The ends of the streams of one process: what gives, what takes, and what the clock is told."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import zenoh
+
+from fls_flow import wire
+from fls_flow.links.memory import MemoryInbox
+from fls_flow.links.stream import NewestSender, Receiver, Sender
+from fls_flow.messages import Message
+
+__all__ = [
+    "CLOCK_END",
+    "DELIVERY",
+    "END",
+    "FINISHED",
+    "SAMPLE",
+    "STARTED",
+    "Arrived",
+    "Inlet",
+    "Outlet",
+    "Report",
+]
+
+DELIVERY, END, SAMPLE, FINISHED, STARTED, CLOCK_END = range(6)  # the kinds of packets
+CLOSE_S = 1e-3  # firings that follow each other more closely may be told together
+
+
+@dataclass
+class Outlet:
+    """A stream that this process gives."""
+
+    publisher: zenoh.Publisher
+    sender: Sender
+    readers: int = 0  # of shared memory; 0: bytes travel
+
+    def end(self, last: int) -> None:
+        """Nothing comes after firing `last`."""
+        if isinstance(self.sender, NewestSender):
+            self.sender.finish((END, last))
+        else:
+            self.sender.send((END, last))
+
+
+class Report:
+    """What the clock is told of a node that holds the window: the newest firing that it has finished.
+
+    While firings follow each other closely some are told together: at most half a window waits, and nothing
+    while the node waits.
+    """
+
+    def __init__(self, tell: Callable[[int], None], inbox: MemoryInbox, window: int) -> None:
+        self._tell, self._inbox, self._most = tell, inbox, max(1, window // 2)
+        self._index = self._told = -1
+        self._when = 0.0
+
+    def finished(self, index: int) -> None:
+        """The node is done with a firing."""
+        self._index = index
+        if index - self._told >= self._most or time.monotonic() - self._when >= CLOSE_S:
+            self.tell()
+        else:
+            self._inbox.before_waiting = self.tell
+
+    def tell(self) -> None:
+        """Tell what was not told."""
+        self._inbox.before_waiting = None
+        if self._index > self._told:
+            self._told, self._when = self._index, time.monotonic()
+            self._tell(self._index)
+
+
+class Arrived:
+    """A message as it travelled; the first of its takers opens it for all."""
+
+    def __init__(self, held: bytes | Callable[[], npt.NDArray[np.uint8]], message_type: type[Any]) -> None:
+        self._held, self._type = held, message_type
+        self._message: Message | None = None
+        self._lock = threading.Lock()
+
+    def __call__(self) -> Message:
+        """The message; raises LinkError or WireError when it cannot be read."""
+        with self._lock:
+            if self._message is None:
+                held = self._held if isinstance(self._held, bytes) else self._held().data
+                self._message = wire.decode(held, self._type)
+                self._held = b""
+            return self._message
+
+
+@dataclass
+class Inlet:
+    """A stream that this process takes."""
+
+    giver: str  # the process
+    receiver: Receiver
+    unanswered: bool = False
