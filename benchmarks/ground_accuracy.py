@@ -29,12 +29,13 @@ Scene = list[tuple[GroundView, Detections]]
 FloatArray = npt.NDArray[np.float64]
 
 VARIANTS: dict[str, dict[str, Any]] = {
-    "huber, exact": {},
-    "huber, euler": {"step": "euler"},
-    "innovation, exact": {"noise": "innovation"},
-    "innovation, euler": {"noise": "innovation", "step": "euler"},
-    "fixed, exact": {"noise": "fixed"},
-    "huber, no navigation": {"blind": True},
+    "adaptive, exact": {},
+    "adaptive, euler": {"step": "euler"},
+    "huber, exact": {"noise": "huber"},
+    "paper, exact": {"noise": "paper"},
+    "paper, euler": {"noise": "paper", "step": "euler"},
+    "fixed at 1 m, exact": {"noise": "fixed"},
+    "adaptive, no navigation": {"blind": True},
 }
 DRAWS = 4  # of the errors of navigation
 SETTLED = 20
@@ -52,7 +53,7 @@ def joined(views: list[GroundView], nav: GroundNav) -> Iterator[tuple[GroundView
     for view in views:
         samples = []
         while last < view.ping.stamp_ns:
-            samples.append(next(stream))
+            samples.append(next(stream).nav_state)
             last = samples[-1].stamp_ns
         yield view, fusion(view.ping, tuple(samples), (), view.detections).detections
 

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import multiprocessing
 import signal
+import tempfile
 from collections import deque
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
@@ -28,9 +29,9 @@ class _Worker:
     task: Task | None = None
 
     @classmethod
-    def start(cls, context: SpawnContext) -> _Worker:
+    def start(cls, context: SpawnContext, scratch: str) -> _Worker:
         ours, theirs = context.Pipe()
-        process = context.Process(target=_work, args=(theirs,), daemon=True)
+        process = context.Process(target=_work, args=(theirs, scratch), daemon=True)
         # Ctrl-C reaches the whole terminal group; only this process shall answer it, and end the others.
         resource_tracker.ensure_running()  # as a part of the start it would let the signal through
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -78,10 +79,17 @@ def in_processes(tasks: Sequence[Task], count: int) -> Generator[Row, None, None
     """
     context = multiprocessing.get_context("spawn")
     waiting = deque(tasks)
+    with tempfile.TemporaryDirectory(prefix="fls-sweep-") as scratch:
+        yield from _rows(context, waiting, count, scratch)
+
+
+def _rows(
+    context: SpawnContext, waiting: deque[Task], count: int, scratch: str
+) -> Generator[Row, None, None]:
     workers: list[_Worker] = []
     try:
         for _ in range(min(count, len(waiting))):
-            workers.append(_Worker.start(context))
+            workers.append(_Worker.start(context, scratch))
             workers[-1].give(waiting.popleft())
         while busy := {worker.pipe: worker for worker in workers if worker.task is not None}:
             for pipe in wait(list(busy)):
@@ -91,7 +99,7 @@ def in_processes(tasks: Sequence[Task], count: int) -> Generator[Row, None, None
                     workers.remove(worker)
                     worker.end(now=True)
                     if waiting:
-                        workers.append(worker := _Worker.start(context))
+                        workers.append(worker := _Worker.start(context, scratch))
                 if waiting:
                     worker.give(waiting.popleft())
                 yield row
@@ -100,8 +108,9 @@ def in_processes(tasks: Sequence[Task], count: int) -> Generator[Row, None, None
             worker.end(now=worker.task is not None)
 
 
-def _work(pipe: Connection) -> None:
-    """Answer tasks until the pipe closes."""
+def _work(pipe: Connection, scratch: str) -> None:
+    """Answer tasks until the pipe closes; what they write for a while lies in `scratch`."""
+    tempfile.tempdir = scratch  # a worker that is killed removes nothing
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.getLogger().addHandler(logging.NullHandler())  # what goes wrong is in the row
     with limited_threads():

@@ -136,8 +136,11 @@ def toys(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def environment(toys: Path) -> dict[str, str]:
-    """The environment of processes that shall find the toy kinds."""
-    return {**os.environ, "PYTHONPATH": str(toys.parent / "site"), "COLUMNS": "160"}
+    """The environment of processes that shall find the toy kinds, with a folder `tmp` for what is temporary."""
+    scratch = toys.parent / "tmp"
+    scratch.mkdir(exist_ok=True)
+    paths = {"PYTHONPATH": str(toys.parent / "site"), "TMPDIR": str(scratch)}
+    return {**os.environ, **paths, "COLUMNS": "160"}
 
 
 @pytest.fixture

@@ -99,6 +99,7 @@ def test_failed_cells_are_told_and_stop_nobody(sweep, toys):
     assert all("its process died (signal SIGKILL)" in found[i]["error"] for i in (4, 5))
     assert "(tracker.fate=die sonar.seed=1) failed: its process died" in done.stderr
     assert "4 of 6 cells failed" in done.stderr
+    assert not list((toys.parent / "tmp").iterdir())
     (row,) = [line.split() for line in done.stdout.splitlines() if line.strip().startswith("live")]
     assert row[:3] == ["live", "2/2", "0"]
 
@@ -189,6 +190,7 @@ def test_a_signal_keeps_what_is_done_and_leaves_no_process(toys, environment, nu
     assert "interrupted: 1 of 2 cells are done" in said
     assert "Traceback" not in said
     assert [line["index"] for line in lines(toys / "s")] == [0]
+    assert not list((toys.parent / "tmp").iterdir())
     while alive(process.pid):
         assert time.monotonic() < deadline
         time.sleep(0.05)
