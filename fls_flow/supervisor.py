@@ -5,20 +5,17 @@ from __future__ import annotations
 import logging
 import os
 import selectors
-import signal
-import sys
 import threading
 import time
 import uuid
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, Literal
 
 import zenoh
 
-from fls_flow.channel import Channel
-from fls_flow.deploy import Deployment, Group
+from fls_flow.children import Child
+from fls_flow.deploy import Deployment
 from fls_flow.errors import FlsFlowError, RunError
 from fls_flow.graph import Graph
 from fls_flow.hosts import Hosts, RunTerms, ask, offer
@@ -40,22 +37,6 @@ PART_S = 1.0  # how long processes may take to exit after the end
 
 class ProcessError(RunError):
     """A process of the run died, hung or was lost; the text names its nodes, the ping and the cause."""
-
-
-@dataclass
-class _Child:
-    """What the supervisor knows of a process."""
-
-    group: Group
-    channel: Channel
-    output: BinaryIO
-    ready: bool = False
-    done: bool = False
-    report: dict[str, Any] | None = None
-    fired: dict[str, int] = field(default_factory=dict)
-    heard: float = 0.0
-    exit_code: int | None = None
-    partial: bytes = b""
 
 
 class Supervisor:
@@ -91,7 +72,7 @@ class Supervisor:
             "deadline_s": deployment.deadline_s,
             "samples_taken": options.samples_taken,
         }
-        self._children: dict[str, _Child] = {}
+        self._children: dict[str, Child] = {}
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_write, False)
         self._stopped_at: float | None = None
@@ -186,7 +167,7 @@ class Supervisor:
         born = self._nursery.bear(self.graph, assignment, self.deployment.groups(self.host))
         for group in self.deployment.groups(self.host):
             channel, output = born[group.name]
-            self._children[group.name] = _Child(group, channel, output, heard=time.monotonic())
+            self._children[group.name] = Child(group, channel, output, heard=time.monotonic())
 
     # --- watching --------------------------------------------------------------------------------
 
@@ -196,7 +177,7 @@ class Supervisor:
             selector.register(self._nursery.channel, selectors.EVENT_READ, self._nursery_said)
             for child in self._children.values():
                 selector.register(child.channel, selectors.EVENT_READ, lambda c=child: self._said(c))
-                selector.register(child.output, selectors.EVENT_READ, lambda c=child: self._printed(c))
+                selector.register(child.output, selectors.EVENT_READ, child.show_printed)
             while not self._over():
                 for key, _ in selector.select(0.1):
                     if key.data() is False:
@@ -294,7 +275,7 @@ class Supervisor:
                 silent = now - child.heard
                 if not child.done and silent > self.deployment.lost_after_s:
                     child.done = True
-                    self._fail(ProcessError(f"{self._about(child)} is silent for {silent:.1f} s"))
+                    self._fail(ProcessError(f"{child} is silent for {silent:.1f} s"))
 
     def _lost(self, hosts: Hosts) -> str | None:
         """Why the run cannot go on without another host: it fell silent, or never came."""
@@ -306,7 +287,7 @@ class Supervisor:
             f"host {who} did not come within {patience_s:g} s; is it running, and does 'connect' lead here?"
         )
 
-    def _said(self, child: _Child) -> bool:
+    def _said(self, child: Child) -> bool:
         documents, there = child.channel.drain()
         child.heard = time.monotonic()
         for said in documents:
@@ -314,17 +295,17 @@ class Supervisor:
         if not there and not child.done:
             child.done = True
             self._wait_for_exit(child)
-            self._fail(ProcessError(f"{self._about(child)} died{_how(child.exit_code)}"))
+            self._fail(ProcessError(f"{child} died{child.cause}"))
         return there
 
-    def _on_ready(self, child: _Child) -> None:
+    def _on_ready(self, child: Child) -> None:
         child.ready = True
         self._advance()
 
-    def _on_beat(self, child: _Child, pings: int, fired: dict[str, int]) -> None:
+    def _on_beat(self, child: Child, pings: int, fired: dict[str, int]) -> None:
         child.fired = fired
 
-    def _on_pings(self, child: _Child, pings: int) -> None:
+    def _on_pings(self, child: Child, pings: int) -> None:
         self._pings = pings
         if pings and self._first is None:
             self._first = time.monotonic()
@@ -332,16 +313,16 @@ class Supervisor:
         if self._hosts is not None:
             self._hosts.count(pings)
 
-    def _on_failed(self, child: _Child, text: str) -> None:
+    def _on_failed(self, child: Child, text: str) -> None:
         self._fail(RunError(text))
 
-    def _on_done(self, child: _Child, report: dict[str, Any] | None) -> None:
+    def _on_done(self, child: Child, report: dict[str, Any] | None) -> None:
         child.done, child.report = True, report
         clock = (report or {}).get("counts", {}).get(self.graph.clock)
         if clock and self._hosts is not None and self._stopped_at is None:
             self._hosts.count(clock["fired"])  # the clock does not wait for the last to be finished
 
-    def _on_log(self, child: _Child, level: int, name: str, text: str) -> None:
+    def _on_log(self, child: Child, level: int, name: str, text: str) -> None:
         logging.getLogger(name).log(level, "[%s] %s", child.group.name, text)
 
     def _nursery_said(self) -> bool:
@@ -354,23 +335,10 @@ class Supervisor:
                 child.done = True
         return there
 
-    def _wait_for_exit(self, child: _Child) -> None:
+    def _wait_for_exit(self, child: Child) -> None:
         """The nursery says how a child ended a moment after its channel closed."""
         while child.exit_code is None and (said := self._nursery.channel.receive()) is not None:
             self._children[said["process"]].exit_code = said["code"]
-
-    def _printed(self, child: _Child) -> bool:
-        printed = child.output.read(1 << 16) or b""
-        *lines, child.partial = (child.partial + printed).split(b"\n")
-        for line in lines:
-            sys.stderr.write(f"[{child.group.name}] {line.decode(errors='replace')}\n")
-        return bool(printed)
-
-    def _about(self, child: _Child) -> str:
-        nodes = ", ".join(f"'{name}'" for name in child.group.nodes)
-        done = max(child.fired.values(), default=0)
-        word = "node" if len(child.group.nodes) == 1 else "nodes"
-        return f"process '{child.group.name}' with {word} {nodes}, after about {done} pings,"
 
     # --- the end ---------------------------------------------------------------------------------
 
@@ -385,7 +353,7 @@ class Supervisor:
             self._hosts.close()
         self._nursery.end()
         for child in self._children.values():
-            self._printed(child)
+            child.show_printed()
             child.channel.close()
             child.output.close()
         os.close(self._wake_read)
@@ -416,9 +384,3 @@ class Supervisor:
         self._on_finished(pings)
         after = 0.0 if self._first is None else self._watched - self._first
         return Report("failed" if self._error else status, pings, seconds, counts, taken, self._error, after)
-
-
-def _how(code: int | None) -> str:
-    if code is None:
-        return ""
-    return f" (signal {-code}: {signal.Signals(-code).name})" if code < 0 else f" (exit code {code})"
