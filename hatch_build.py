@@ -10,7 +10,8 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 SHIPPED = {
-    folder: f"fls_flow/_shipped/{folder}" for folder in ("graphs", "deployments", "tests/golden/didson")
+    folder: f"fls_flow/_shipped/{folder}"
+    for folder in ("graphs", "deployments", "models", "tests/golden/didson")
 }
 
 

@@ -6,7 +6,8 @@ All decide every cell of the same Rayleigh image, on one thread. The others sum 
 guard of 3 x 5 around the cell (J = 50), exact at the edges: with zeros outside and the factor a(J) of the
 cells that exist, worked out beforehand per shape, and per frame where cells are excluded. Ours is
 `fls_detectors.cfar.rayleigh_hits` with 3 beams x 8 ranges on each side beyond a guard of 2 (J = 48), and the
-window that the node `rayleigh-cfar` takes for 5 cm cells. Excluded is a tenth of the cells, in rectangles.
+window that the node `rayleigh-cfar` takes for 5 cm cells; then, with the first of these windows, the kernels
+of `os-cfar` and `log-cfar`. Excluded is a tenth of the cells, in rectangles.
 The memory limit is one comparison per cell, the image read and a mask written, over so many images that none
 is in a cache any more, as when a ping has just arrived; the other methods find theirs there.
 
@@ -31,6 +32,8 @@ from rich.table import Table
 from scipy.ndimage import uniform_filter
 
 from fls_detectors.cfar import NO_FLAGS, REFERENCE, TEST, Window, rayleigh_factors, rayleigh_hits
+from fls_detectors.log_statistic import log_hits
+from fls_detectors.ordered_statistic import ordered_hits
 from fls_flow.kernels import compiled
 
 Image = npt.NDArray[np.float32]
@@ -119,6 +122,8 @@ def methods(image: Image, usable: Mask | None) -> dict[str, Method]:
     return {
         "ours": lambda: rayleigh_hits(image, OURS, pfa=PFA, min_ref=MIN_REF, flags=flags),
         "ours, the node's window": lambda: rayleigh_hits(image, NODE, pfa=PFA, min_ref=MIN_REF, flags=flags),
+        "ours, ordered statistic": lambda: ordered_hits(image, OURS, pfa=PFA, min_ref=MIN_REF, flags=flags),
+        "ours, log domain": lambda: log_hits(image, OURS, pfa=PFA, min_ref=MIN_REF, flags=flags),
         "OpenCV boxFilter": lambda: by_boxes(image, opencv_sum, usable, factor),
         "scipy uniform_filter": lambda: by_boxes(image, scipy_sum, usable, factor),
         "numba, straight loops": loops,
@@ -134,7 +139,7 @@ def alike(found: dict[str, Method], cells: int) -> None:
         if differing > 1e-5 * cells + 2:
             raise SystemExit(f"{name} differs from the loops in {differing} of {cells} cells")
     expected = PFA * cells
-    for name in ("ours", "ours, the node's window"):
+    for name in (name for name in found if name.startswith("ours")):
         count = int(np.count_nonzero(found[name]()))
         if abs(count - expected) > 6.0 * np.sqrt(expected) + 3:
             raise SystemExit(f"{name} gives {count} false alarms, {expected:.0f} are expected")

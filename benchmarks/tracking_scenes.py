@@ -10,7 +10,7 @@ import numpy.typing as npt
 from fls_flow import Detections, Truth, View
 from fls_flow.geometry import to_polar
 
-__all__ = ["PING_S", "SCENES", "Scene", "Seen"]
+__all__ = ["PING_S", "P_D", "SCENES", "Scene", "Seen"]
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
+from stonesoup.dataassociator.neighbour import GNNWith2DAssignment, NearestNeighbour
 from stonesoup.dataassociator.probability import JPDA, PDA, JPDAwithEHM2
 from stonesoup.deleter.error import CovarianceBasedDeleter
 from stonesoup.deleter.multi import CompositeDeleter
@@ -41,7 +41,13 @@ from fls_flow import Tracks
 __all__ = ["METHODS", "SETTINGS", "SoupSettings", "track"]
 
 EPOCH = datetime.datetime(2000, 1, 1)
-METHODS = {"JPDA": JPDA, "JPDAwithEHM2": JPDAwithEHM2, "PDA": PDA, "GNN": GNNWith2DAssignment}
+METHODS = {
+    "JPDA": JPDA,
+    "JPDAwithEHM2": JPDAwithEHM2,
+    "PDA": PDA,
+    "GNN": GNNWith2DAssignment,
+    "NN": NearestNeighbour,
+}
 GATE_PROBABILITY = 1.0 - np.exp(-4.5)  # three sigma in two dimensions
 START_SPEED_SD_MPS = 0.5  # as ours in the benchmark
 
@@ -113,8 +119,8 @@ def _tracker(method: str, scene: Scene, model: Any, played: _Played, s: SoupSett
     deleter = CompositeDeleter(
         [UpdateTimeStepsDeleter(s.delete_steps), CovarianceBasedDeleter(s.max_trace)], intersect=False
     )
-    if method == "GNN":
-        return MultiTargetTracker(initiator, deleter, played, GNNWith2DAssignment(nearest), updater)
+    if method in ("GNN", "NN"):
+        return MultiTargetTracker(initiator, deleter, played, METHODS[method](nearest), updater)
     area = 2.0 * scene.half_sector_rad * (RANGE_M[1] - RANGE_M[0])
     weighing = PDAHypothesiser(
         predictor,

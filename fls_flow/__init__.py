@@ -3,6 +3,7 @@
 from fls_flow.errors import FlsFlowError, InputError, UserError
 from fls_flow.hookspecs import hookimpl
 from fls_flow.messages import (
+    AltimeterBeams,
     BeamMask,
     Classes,
     DetectionKind,
@@ -25,6 +26,7 @@ from fls_flow.messages import (
 )
 
 __all__ = [
+    "AltimeterBeams",
     "BeamMask",
     "Classes",
     "DetectionKind",

@@ -96,6 +96,20 @@ class Kind:
         return next((role for name, role in roles.items() if name in made), "filter")
 
     @property
+    def undecided(self) -> bool:
+        """Whether an instance says of which class its messages are (`output_type`)."""
+        return any(port.message is Message for port in self.outputs)
+
+    def decided(self, instance: Any) -> Kind:
+        """The kind with the output that an instance of it has; raises what its `output_type` raises."""
+        if not self.undecided:
+            return self
+        message = instance.output_type()
+        if not is_message_type(message):
+            raise PluginError(f"kind '{self.name}': output_type() gives {_name(message)}, no message class")
+        return dataclasses.replace(self, outputs=(OutPort(_snake(message.__name__), message),))
+
+    @property
     def stateful(self) -> bool:
         """Whether instances keep something from ping to ping."""
         return any(not field.init for field in dataclasses.fields(self.cls))
@@ -221,7 +235,8 @@ def describe(cls: type, name: str | None = None) -> Kind:
         raise PluginError(f"{blame}: annotate what __call__ returns (None for a sink)")
     source = not inputs and takes_any is None
     returned = _yielded(hints["return"], blame) if source else hints["return"]
-    outputs, bundle = _outputs(returned, blame)
+    undecided = source and returned is Message and hasattr(cls, "output_type")
+    outputs, bundle = ((OutPort("message", Message),), None) if undecided else _outputs(returned, blame)
     if source and not outputs:
         raise PluginError(f"{blame} has neither inputs nor outputs")
     return Kind(

@@ -26,6 +26,8 @@ VERBS = {
     "top": "Show what the nodes of a run are doing.",
     "draw": "Draw GRAPH as Mermaid text or as an SVG picture.",
     "evaluate": "Score tracks, detections and estimates against truth.",
+    "train": "Train classifiers on the features of tracks.",
+    "calibrate": "Find the threshold with which a detector meets a rate of false alarms.",
     "sweep": "Run GRAPH over a grid of parameters and score every cell.",
 }
 

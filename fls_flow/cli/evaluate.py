@@ -28,20 +28,24 @@ __all__ = ["evaluate"]
 @click.option("--positive", metavar="CLASS", help="Class of the ROC [the first by name].")
 @click.option("--miss-cost", type=float, default=1.0, show_default=True, help="Of missing that class.")
 @click.option("--false-alarm-cost", type=float, default=1.0, show_default=True, help="Of wrongly calling it.")
+@click.option("--group", "groups", multiple=True, metavar="CLASS=A,B*",
+              help="Count classes that match A or B* as CLASS; the first such. Repeatable.")  # fmt: skip
 @JSON
 def evaluate(
     files: tuple[Path, ...], truth: Path | None, plot: Path | None, as_json: bool, **options: Any
 ) -> None:
-    """Score FILES (tracks, detections, PHD estimates: CSV, or the folder of a run) against truth.
+    """Score FILES against truth: tracks, detections, PHD estimates (CSV, a recording, or a run's folder).
 
     \b
     Examples:
       fls-flow evaluate runs/surface-obstacle/2026-01-31T12-00-00Z
       fls-flow evaluate tracks.csv --truth truth.csv --plot scores.png
-      fls-flow evaluate run/ --positive diver --miss-cost 10
+      fls-flow evaluate run/ --positive diver --miss-cost 10 --group "marine-life=seal,dolphin,fish"
     """
     from fls_flow.evaluate import Settings, find, report, score
+    from fls_flow.evaluate.classifier import parse_group
 
+    options["groups"] = tuple(parse_group(one) for one in options["groups"])
     try:
         settings = Settings(**options)
     except ValueError as error:

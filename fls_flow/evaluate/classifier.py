@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 
 import numpy as np
 import numpy.typing as npt
@@ -11,11 +12,13 @@ import numpy.typing as npt
 from fls_flow.errors import UserError
 from fls_flow.evaluate.scene import Points
 
-__all__ = ["ClassifierScores", "Roc", "classifier_scores", "roc_of"]
+__all__ = ["ClassifierScores", "Groups", "Roc", "classifier_scores", "grouped", "parse_group", "roc_of"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+Words = npt.NDArray[np.str_]
+Groups = tuple[tuple[str, tuple[str, ...]], ...]  # a class, and the patterns of what counts as it
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +55,25 @@ class ClassifierScores:
     class_error: dict[str, float]  # share of the rows of a class with another label
     roc: Roc | None
     overall: dict[str, float]
+
+
+def parse_group(text: str) -> tuple[str, tuple[str, ...]]:
+    """Class and patterns of `CLASS=A,B*`; raises UserError for another text."""
+    name, equals, patterns = text.partition("=")
+    found = tuple(one.strip() for one in patterns.split(",") if one.strip())
+    if not (equals and name.strip() and found):
+        raise UserError(f"--group {text}: write CLASS=A,B")
+    return name.strip(), found
+
+
+def grouped(words: Words, groups: Groups) -> Words:
+    """The words (n,), each replaced by the first class that has a pattern for it; empty ones stay empty."""
+    unique, where = np.unique(words, return_inverse=True)
+    named = [
+        next((name for name, patterns in groups for one in patterns if word and fnmatchcase(word, one)), word)
+        for word in unique.tolist()
+    ]
+    return np.array(named, np.str_)[where] if named else words
 
 
 def classifier_scores(

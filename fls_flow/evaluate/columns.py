@@ -5,17 +5,18 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from itertools import islice
 from pathlib import Path
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
 from fls_flow.errors import UserError
+from fls_flow.evaluate.recording import csv_lines, is_topic
 
 __all__ = ["FRAMES", "Layout", "Reader"]
 
@@ -60,8 +61,12 @@ class Reader:
         raise UserError(f"{self.path}:{line}: {what}")
 
     @contextmanager
-    def opened(self) -> Iterator[TextIO]:
+    def opened(self) -> Iterator[Iterator[str]]:
         """The file as text; raises UserError for what no CSV file does."""
+        if is_topic(self.path):
+            with closing(csv_lines(self.path)) as lines:
+                yield lines
+            return
         try:
             with self.path.open(encoding="utf-8-sig", newline="") as file:
                 yield file

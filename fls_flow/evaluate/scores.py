@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from fls_flow.evaluate.assignment import pairs_within
-from fls_flow.evaluate.classifier import ClassifierScores, classifier_scores
+from fls_flow.evaluate.classifier import ClassifierScores, Groups, classifier_scores, grouped
 from fls_flow.evaluate.clear import clear_scores, identity_scores, matched
 from fls_flow.evaluate.detector import DetectorScores, detector_scores
 from fls_flow.evaluate.hota import hota_scores
@@ -48,6 +48,7 @@ class Settings:
     positive: str | None = None  # the class of the ROC; by default the first by name
     miss_cost: float = 1.0  # of taking the positive class for another
     false_alarm_cost: float = 1.0  # of taking another for the positive class
+    groups: Groups = ()  # classes of the truth that count as one
 
     def __post_init__(self) -> None:
         for name in ("cutoff_m", "gate_m", "miss_cost", "false_alarm_cost"):
@@ -163,8 +164,8 @@ def _tracking(truth: Table, tracks: Table, settings: Settings) -> tuple[TrackSco
         **error_scores(errors),
     }
     classifier = classifier_scores(
-        x,
-        y,
+        replace(x, word=grouped(x.word, settings.groups)),
+        replace(y, word=grouped(y.word, settings.groups)),
         follows,
         positive=settings.positive,
         miss_cost=settings.miss_cost,

@@ -71,6 +71,8 @@ def kind_of(path: Path) -> Kind | None:
     """
     with Reader(path).opened() as file:
         header = {name.strip() for name in next(csv.reader(file), [])}
+    if "track_id" in header and not header & {"x_m", "y_m", "status"}:
+        return None  # what else is known of tracks, as a table of features
     return next((kind for kind, mark in MARKS.items() if mark in header), None)
 
 

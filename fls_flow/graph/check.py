@@ -12,7 +12,7 @@ from typing import Any
 from fls_flow import parameters
 from fls_flow.catalog import Catalog, InPort, Kind, suggest
 from fls_flow.document import Value, shown
-from fls_flow.errors import GraphError, PluginError, Problem
+from fls_flow.errors import FlsFlowError, GraphError, PluginError, Problem
 from fls_flow.graph.model import Graph, Input, Mode, Node
 from fls_flow.graph.read import Draft, Source, giver
 from fls_flow.messages import Message
@@ -89,9 +89,30 @@ def _kind(check: _Check, draft: Draft) -> None:
         check.problem(draft.use.where, f"node '{draft.name}': 'use' is {shown(draft.use)}; it names a kind")
     else:
         try:
-            check.kinds[draft.name] = check.catalog.load(draft.use.data)
+            kind = check.catalog.load(draft.use.data)
         except PluginError as error:
             check.problem(draft.use.where, f"node '{draft.name}': {error}")
+            return
+        decided = _decided(check, draft, kind) if kind.undecided else kind
+        if decided is not None:
+            check.kinds[draft.name] = decided
+
+
+def _decided(check: _Check, draft: Draft, kind: Kind) -> Kind | None:
+    """The kind with the output that its parameters make, such as of a file; None after a problem."""
+    known = {one.name for one in kind.parameters}
+    given = {
+        name: value for name, value in draft.given.items() if name in known or name not in draft.inherited
+    }
+    result = parameters.check(kind, given, draft.name, draft.where)
+    check.source.problems.extend(result.problems)
+    if result.problems or "with" in draft.faulty:
+        return None
+    try:
+        return kind.decided(kind.cls(**result.arguments))
+    except FlsFlowError as error:
+        check.problem(draft.where, f"node '{draft.name}': {error}")
+        return None
 
 
 # --- wires ---------------------------------------------------------------------------------------

@@ -56,7 +56,7 @@ def _instance(node: Any) -> tuple[Any, Kind]:
         required = [one.name for one in kind.parameters if one.required]
         assert not required, f"{node.__name__} needs {', '.join(required)}: give check_node an instance"
         return node(), kind
-    return node, describe(type(node))
+    return node, describe(type(node)).decided(node)
 
 
 class _Fresh:

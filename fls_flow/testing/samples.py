@@ -9,6 +9,7 @@ import numpy as np
 
 from fls_flow.catalog import InPort, Kind, describe
 from fls_flow.messages import (
+    AltimeterBeams,
     BeamMask,
     Classes,
     Detections,
@@ -35,8 +36,9 @@ def sample_firings(kind: Kind | type, pings: int = 6, seed: int = 0) -> list[dic
     """Made-up inputs for a node, ping by ping; those of the third ping are empty."""
     found = kind if isinstance(kind, Kind) else describe(kind)
     rng = np.random.default_rng(seed)
+    free = () if found.takes_any is None else (InPort("anything", found.takes_any),)
     return [
-        {port.name: _input(port, number, rng, blank=number == 2) for port in found.inputs}
+        {port.name: _input(port, number, rng, blank=number == 2) for port in (*found.inputs, *free)}
         for number in range(pings)
     ]
 
@@ -57,6 +59,7 @@ Maker = Callable[[int, int, np.random.Generator], Any]
 def _sample(message: Any, seq: int, stamp_ns: int, rng: np.random.Generator) -> Any:
     """A message with something in it; a class that is not known here is made empty."""
     makers: dict[type, Maker] = {
+        AltimeterBeams: _altimeter_beams,
         BeamMask: _beam_mask,
         Classes: _classes,
         Detections: _detections,
@@ -92,6 +95,12 @@ def _nav(seq: int, stamp_ns: int, rng: np.random.Generator) -> NavState:
         velocity_mps=(1.0, 0.0, 0.0),
         altitude_m=20.0,
     )
+
+
+def _altimeter_beams(seq: int, stamp_ns: int, rng: np.random.Generator) -> AltimeterBeams:
+    direction = np.array([[0.3, 0.4, 0.0], [0.3, -0.4, 0.0], [-0.3, 0.4, 0.0], [-0.3, -0.4, 0.0]])
+    direction[:, 2] = np.sqrt(0.75)
+    return AltimeterBeams(seq, stamp_ns, direction, 23.0 + rng.normal(0.0, 0.1, 4))
 
 
 def _detections(seq: int, stamp_ns: int, rng: np.random.Generator) -> Detections:

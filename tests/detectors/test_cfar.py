@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fls_detectors.cfar import NO_FLAGS, REFERENCE, TEST, Window, rayleigh_factors, rayleigh_hits
+from fls_detectors.cfar import (
+    NO_FLAGS,
+    REFERENCE,
+    TEST,
+    Window,
+    rayleigh_factors,
+    rayleigh_hits,
+)
+from fls_detectors.cfar_ratio import rayleigh_ratio
 
 # (guard, stride, levels, beams, widest) and J far from the edges
 WINDOWS = [
@@ -18,12 +26,16 @@ WINDOWS = [
 BOTH = REFERENCE | TEST
 
 
-def slow_hits(amplitude, window, pfa, min_ref, floor=0.0, flags=None):
+def slow_hits(amplitude, window, pfa, min_ref, floor=0.0, flags=None, scale=1.0):
     """The definition, cell by cell, in float64."""
+    return np.nan_to_num(slow_ratio(amplitude, window, pfa, min_ref, floor, flags), nan=-1.0) > scale
+
+
+def slow_ratio(amplitude, window, pfa, min_ref, floor=0.0, flags=None):
     n_ranges, n_beams = amplitude.shape
     flags = np.full(amplitude.shape, BOTH) if flags is None else flags
     x = amplitude.astype(float)
-    hits = np.zeros(amplitude.shape, bool)
+    ratio = np.full(amplitude.shape, np.nan)
     for m in range(n_ranges):
         for n in range(n_beams):
             reference = []
@@ -40,8 +52,9 @@ def slow_hits(amplitude, window, pfa, min_ref, floor=0.0, flags=None):
             if min_ref > J or not flags[m, n] & TEST:
                 continue
             total = max(np.sum(np.square(reference)), J * floor**2)
-            hits[m, n] = total > 0 and x[m, n] > np.sqrt((pfa ** (-1 / J) - 1) * total)
-    return hits
+            if total > 0:
+                ratio[m, n] = x[m, n] / np.sqrt((pfa ** (-1 / J) - 1) * total)
+    return ratio
 
 
 def within_binomial_bounds(count, n, p, sigmas=4.0):
@@ -59,6 +72,31 @@ def test_kernel_equals_the_definition(dtype, shape):
         for w, f in ((window, NO_FLAGS), (window, flags), (wide, flags)):
             expected = slow_hits(amplitude, w, 1e-2, 8, floor=case % 2, flags=f if f.size else None)
             assert_array_equal(rayleigh_hits(amplitude, w, pfa=1e-2, floor=case % 2, flags=f), expected)
+
+
+def test_more_reference_cells_than_a_byte_counts():
+    rng = np.random.default_rng(4)
+    amplitude = rng.rayleigh(1.0, (180, 7)).astype(np.float32)
+    flags = rng.choice([TEST, BOTH], p=[0.1, 0.9], size=amplitude.shape).astype(np.uint8)
+    window = Window(1, 1, 6, 1, 0)
+    assert window.size == 384
+    expected = slow_hits(amplitude, window, 0.03, 8, flags=flags)
+    assert expected.any()
+    assert_array_equal(rayleigh_hits(amplitude, window, pfa=0.03, flags=flags), expected)
+
+
+@pytest.mark.parametrize("shape", [(120, 9), (60, 130)])
+def test_a_scale_per_beam_multiplies_the_threshold(shape):
+    rng = np.random.default_rng(shape[0])
+    amplitude = rng.rayleigh(30.0, shape).astype(np.float32)
+    flags = rng.choice([0, REFERENCE, TEST, BOTH], p=[0.05, 0.05, 0.3, 0.6], size=shape).astype(np.uint8)
+    scale = rng.uniform(0.7, 1.5, shape[1])
+    for window, _ in WINDOWS:
+        for given in (NO_FLAGS, flags):
+            ratio = slow_ratio(amplitude, window, 0.05, 8, flags=given if given.size else None)
+            assert_allclose(rayleigh_ratio(amplitude, window, pfa=0.05, flags=given), ratio, rtol=1e-12)
+            hits = rayleigh_hits(amplitude, window, pfa=0.05, flags=given, scale=scale)
+            assert_array_equal(hits, np.nan_to_num(ratio, nan=-1.0) > scale)
 
 
 def test_kernel_equals_the_definition_where_whole_areas_are_excluded():

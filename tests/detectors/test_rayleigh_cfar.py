@@ -228,6 +228,20 @@ def test_zeros_and_small_integers_stay_silent_and_an_echo_in_them_is_heard(make_
     assert len(RayleighCfar()(make_ping(np.zeros((500, 39), np.float32)))) == 0
 
 
+def test_a_scale_of_the_threshold_keeps_the_cells_whose_ratio_exceeds_it(scene, make_ping):
+    ping = make_ping(scene.astype(np.float32))
+    mask = BeamMask(7, 1_000, np.isin(np.arange(39), [3]), ping.bearing_rad)
+    ratio = RayleighCfar(pfa=1e-2).threshold_ratio(ping, mask, wedge_at((20.0, 1.0), 0.3))
+    assert np.isnan(ratio[:, 3]).all()
+    scale = tuple(np.linspace(0.8, 1.6, 39))
+    found = RayleighCfar(pfa=1e-2, threshold_scale=scale)(ping, mask, wedge_at((20.0, 1.0), 0.3))
+    rows, beams = np.nonzero(np.nan_to_num(ratio, nan=0.0) > scale)
+    assert cells(ping, found) == list(zip(rows, beams, strict=True))
+    with pytest.raises(ValueError, match="threshold_scale has 2 entries, the ping has 39 beams"):
+        RayleighCfar(threshold_scale=(1.0, 2.0))(ping)
+    assert np.isnan(RayleighCfar().threshold_ratio(make_ping(np.ones((1, 39), np.uint8)))).all()
+
+
 def test_outputs_hold_no_memory_of_the_ping(scene, make_ping):
     ping = make_ping(scene.astype(np.float32))
     detections = RayleighCfar(pfa=0.01)(ping)
@@ -256,6 +270,8 @@ def test_outputs_hold_no_memory_of_the_ping(scene, make_ping):
         ({"max_ref": 9, "guard_beams": 2}, "max_ref must be at least 10 .* not 9"),
         ({"max_detections": 0}, "max_detections must be at least 1, not 0"),
         ({"floor": -0.5}, "floor .* not -0.5"),
+        ({"threshold_scale": -1.0}, "threshold_scale must be positive and finite, not -1.0"),
+        ({"threshold_scale": (1.0, 0.0)}, "threshold_scale must be positive and finite, not 0.0"),
     ],
 )
 def test_bad_parameters_are_named(parameters, text):

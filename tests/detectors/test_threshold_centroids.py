@@ -124,6 +124,21 @@ def test_the_strongest_are_kept() -> None:
     assert_array_equal(found.amplitude, [90.0, 70.0])
 
 
+def test_what_only_the_border_beams_see_is_left_out_if_asked() -> None:
+    """A region in the last beam alone, one half in it, one with a tenth outside of the first, one inside."""
+    image = dark()
+    image[10:13, -1] = 50.0
+    image[25:28, -2:] = 50.0
+    image[40:43, 0], image[40:43, 1] = 50.0 * math.sqrt(9.0), 50.0
+    image[60:63, 5] = 50.0
+    everything = ThresholdCentroids()(ping_of(image))
+    assert len(everything) == 4
+    for share, kept in ((0.95, [1, 2, 3]), (0.85, [1, 3]), (0.45, [3])):
+        found = ThresholdCentroids(max_border_share=share)(ping_of(image))
+        assert_array_equal(found.range_m, everything.range_m[kept])
+        assert_array_equal(found.bearing_rad, everything.bearing_rad[kept])
+
+
 def test_nothing_in_one_cell_one_beam_or_no_image() -> None:
     node = ThresholdCentroids()
     assert len(node(Ping(0, 0))) == 0
@@ -144,6 +159,8 @@ def test_nothing_in_one_cell_one_beam_or_no_image() -> None:
         ({"min_cells": 0}, "min_cells 0"),
         ({"min_cells": 9, "max_cells": 3}, "min_cells 9 to max_cells 3"),
         ({"min_sd_m": 0.0}, "min_sd_m is 0.0"),
+        ({"max_border_share": 0.0}, "max_border_share is 0.0"),
+        ({"max_border_share": 1.1}, "max_border_share is 1.1"),
         ({"max_detections": 0}, "max_detections is 0"),
     ],
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fls_flow.errors import UserError
-from fls_flow.evaluate.classifier import classifier_scores, roc_of
+from fls_flow.evaluate.classifier import classifier_scores, grouped, parse_group, roc_of
 
 COSTS = {"positive": None, "miss_cost": 1.0, "false_alarm_cost": 1.0}
 
@@ -104,3 +104,17 @@ def test_an_unknown_positive_class_is_refused(points):
     x, y, follows = rows_of(points, ["a", "b"], ["a", "b"], [0.9, 0.9])
     with pytest.raises(UserError, match="--positive whale: is no class here; there are a, b"):
         classifier_scores(x, y, follows, **{**COSTS, "positive": "whale"})
+
+
+def test_classes_that_count_as_one():
+    groups = tuple(map(parse_group, ("diver=diver*", "marine-life=seal, fish-?", "rest=*")))
+    words = np.array(["diver-open", "seal", "fish-1", "fish-22", "", "diver"])
+    assert grouped(words, groups).tolist() == ["diver", "marine-life", "marine-life", "rest", "", "diver"]
+    assert grouped(words, ()).tolist() == words.tolist()
+    assert grouped(words[:0], groups).size == 0
+
+
+@pytest.mark.parametrize("text", ["diver", "=a", "diver=", "diver= , "])
+def test_a_group_that_says_nothing_is_refused(text):
+    with pytest.raises(UserError, match="write CLASS=A,B"):
+        parse_group(text)

@@ -207,3 +207,23 @@ def test_scores_do_not_depend_on_the_order_of_rows(tmp_path: Path) -> None:
         (tmp_path / f"{name}.csv").write_text("\n".join([header, *reversed(rows)]))
     turned = score(tmp_path / "tracks.csv", tmp_path / "truth.csv").overall
     assert turned == pytest.approx(score(GOLDEN / "tracks.csv", GOLDEN / "truth.csv").overall, nan_ok=True)
+
+
+def test_classes_of_the_truth_count_as_the_one_that_a_classifier_knows(write: Callable[..., Path]) -> None:
+    rows = [
+        f"{t},{t},{n},{10 * n},0,{what}" for t in range(4) for n, what in enumerate(("diver", "seal", "fish"))
+    ]
+    truth = write("truth.csv", "seq,stamp_ns,target_id,x_m,y_m,class", *rows)
+    rows = [
+        f"{t},{t},{n},{10 * n},0,{'diver' if n == 0 else 'marine-life'},0.9"
+        for t in range(4)
+        for n in range(3)
+    ]
+    tracks = write("tracks.csv", "seq,stamp_ns,track_id,x_m,y_m,label,probability", *rows)
+    assert score(tracks, truth).overall["class_error"] == pytest.approx(2 / 3)
+    grouped = Settings(groups=(("marine-life", ("seal", "fish*")),))
+    found = score(tracks, truth, settings=grouped)
+    assert found.overall["class_error"] == 0.0
+    assert found.overall["class_roc_area"] == 1.0
+    assert found.classifier is not None
+    assert found.classifier.confusion.tolist() == [[4, 0], [0, 8]]

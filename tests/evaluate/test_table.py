@@ -240,3 +240,10 @@ def test_a_missing_file_is_named(tmp_path):
 )
 def test_the_header_says_what_a_file_is(write, header, kind):
     assert kind_of(write("f.csv", header)) == kind
+
+
+def test_a_table_of_features_is_none_of_the_four(write):
+    assert kind_of(write("f.csv", "seq,stamp_ns,track_id,area,area.mean")) is None
+    assert (
+        kind_of(write("t.csv", "seq,stamp_ns,track_id,y_m")) == "tracks"
+    )  # one that lacks x_m, as read() says

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from pynmeagps import calc_checksum
 
 from fls_flow import TrackStatus, wire
 from fls_flow import graph as graphs
 from fls_flow.runtime import Options, Run
 from fls_flow.testing import run_graph
 from fls_sources.ground_nav import GroundNav
-from fls_sources.nmea_sentences import checksum
 
 TRACKS, TRUTH, FOUND, SHADOWS = "tracker.tracks", "sonar.truth_ned", "ratio.detections", "ratio.shadows"
 
@@ -108,6 +109,21 @@ def test_an_obstacle_in_the_water_column_is_said_to_be_one(tmp_path):
     assert ("2", "water-column") not in words
 
 
+def test_on_a_sloping_floor_the_four_beams_give_its_slope_and_the_objects_are_kept(tmp_path):
+    seen = run_graph(
+        "ground_slope", collect=(TRACKS, TRUTH, "fusion.floor"), set_=["picture.pings=[]"], out=tmp_path
+    )
+    normals = np.array([one.normal for one in seen["fusion.floor"][10:]])
+    tilt = np.degrees(np.arctan(-normals[:, :2] / normals[:, 2:]))
+    assert_allclose(tilt.mean(axis=0), [3.0, 2.0], atol=0.1)
+    assert_allclose(tilt, np.broadcast_to([3.0, 2.0], tilt.shape), atol=1.0)
+    for tracks, truth in zip(seen[TRACKS][-40:], seen[TRUTH][-40:], strict=True):
+        tracks = tracks.select(tracks.status == TrackStatus.CONFIRMED)
+        apart = np.linalg.norm(tracks.state[:, None, :2] - truth.state[:, :2], axis=-1)
+        assert (apart.min(axis=0, initial=99.0) < 2.0).all()
+    assert len({identity for one in seen[TRACKS] for identity in one.id[one.status == 1].tolist()}) == 3
+
+
 def test_the_same_bits_in_threads_in_order_and_for_any_window(tmp_path):
     def bits(name: str, options: Options) -> list[bytes]:
         graph = graphs.load("ground_obstacle", set_=["sonar.pings=30", "picture.pings=[20]"])
@@ -150,13 +166,13 @@ def nmea(nav: Any) -> list[str]:
         f"VDVBW,,,V,{knots[0]:.4f},{knots[1]:.4f},A",
         f"SDDBT,,f,{nav.altitude_m:.3f},M,,F",
     ]
-    return [f"${body}*{checksum(body):02X}" for body in bodies]
+    return [f"${body}*{calc_checksum(body)}" for body in bodies]
 
 
 def test_navigation_from_an_nmea_file_does_as_well(tmp_path):
     """Rates come from the angles; heave velocity is not in it."""
     path = tmp_path / "nav.nmea"
-    path.write_text("\r\n".join(line for one in GroundNav(duration_s=15.0)() for line in nmea(one)))
+    path.write_text("\r\n".join(line for one in GroundNav(duration_s=15.0)() for line in nmea(one.nav_state)))
     seen = run_graph(
         "ground_points",
         collect=(TRACKS, TRUTH),

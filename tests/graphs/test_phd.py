@@ -89,8 +89,7 @@ def play(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Seen]:
 def test_the_number_of_objects_without_navigation(play, graph):
     runs = [play(graph, f"sonar.seed={seed}") for seed in (5, 1, 2)]
     right = np.array([np.abs(seen.error[5:]) <= 1 for seen in runs]).mean(axis=1)
-    assert right.mean() >= 0.95
-    assert right.min() >= 0.93
+    assert right.min() >= 0.95
     assert np.mean([seen.ospa[5:].mean() for seen in runs]) < 1.3
     assert all(intensity.frame == "sensor" for seen in runs for intensity in seen.intensity)
 
@@ -135,10 +134,13 @@ def test_cfar_swaps_in_for_the_threshold(play):
     assert (np.abs(seen.error[5:]) <= 1).mean() >= 0.9
 
 
-def cylinder(play: Callable[..., Seen], seed: int, backward: bool) -> tuple[np.ndarray, np.ndarray]:
+def cylinder(
+    play: Callable[..., Seen], seed: int, backward: bool, recursion: str
+) -> tuple[np.ndarray, np.ndarray]:
     """OSPA and whether the cylinder is found, in the order of the forward images."""
-    turn = ("sonar.backward=true", "tracker.closing_mps=-1.0") if backward else ()
-    seen = play("phd_cylinder", f"sonar.seed={seed}", f"tracker.seed={seed}", *turn)
+    settings = [f"sonar.seed={seed}", f"tracker.seed={seed}", f"tracker.recursion={recursion}"]
+    settings += ["sonar.backward=true", "tracker.closing_mps=-1.0"] if backward else []
+    seen = play("phd_cylinder", *settings)
     hits = []
     for i, t in zip(seen.intensity, seen.truth, strict=True):
         hits.append(np.hypot(*(i.state[:, :2] - t.state[0, :2]).T).min(initial=9.0) < 1.0)
@@ -148,14 +150,25 @@ def cylinder(play: Callable[..., Seen], seed: int, backward: bool) -> tuple[np.n
 
 def test_forward_clutter_misleads_at_first_and_backward_the_target_is_held_through_it(play):
     """Clark & Bell 2005, figures 6 and 7: images 0 to 9 are cluttered, 10 to 17 are not."""
-    forward = [cylinder(play, seed, False) for seed in range(5)]
-    backward = [cylinder(play, seed, True) for seed in range(5)]
+    forward = [cylinder(play, seed, False, "phd") for seed in range(5)]
+    backward = [cylinder(play, seed, True, "phd") for seed in range(5)]
     ahead, back = (np.array([one[0] for one in runs]) for runs in (forward, backward))
     assert ahead[:, :10].mean() > 3.0  # poor at first
     assert ahead[:, 10:].mean() < 0.6 * ahead[:, :10].mean()  # then it converges
     assert back[:, :10].mean() < 1.0  # held through the clutter
     assert np.array([one[1][:10] for one in backward]).mean() >= 0.95
     assert np.array([one[1][1:4] for one in forward]).mean() < 0.95
+
+
+def test_with_identities_the_cylinder_is_held_through_the_clutter_both_ways(play):
+    """Backward as good as the plain filter; forward the cylinder is found in nearly every image from the second on."""
+    forward = [cylinder(play, seed, False, "labelled") for seed in range(3)]
+    backward = [cylinder(play, seed, True, "labelled") for seed in range(3)]
+    assert np.array([one[1][1:] for one in forward]).mean() >= 0.95
+    assert np.array([one[1][:10] for one in backward]).mean() >= 0.95
+    assert np.array([one[0][:10] for one in backward]).mean() < 1.0
+    ahead = np.array([one[0] for one in forward])
+    assert ahead[:, 10:].mean() < 0.6 * ahead[:, :10].mean()
 
 
 def crossing_scene(seed: int, clutter: float) -> tuple[list[Detections], list[np.ndarray]]:
@@ -181,16 +194,27 @@ def crossing_scene(seed: int, clutter: float) -> tuple[list[Detections], list[np
     return pings, truth
 
 
-# Stone Soup's Gaussian-mixture PHD on the scene of benchmarks/phd.py: see docs/phd.md
-@pytest.mark.parametrize(("kind", "bound"), [(ParticlePhd, 4.1), (GmPhd, 4.0), (GmCphd, 3.8)])
-def test_ospa_in_heavy_clutter(kind, bound):
+def mean_ospa(kind: Any, clutter: float, **settings: Any) -> float:
     errors = []
     for seed in range(4):
         extra = {"seed": seed} if kind is ParticlePhd else {}
-        node = kind(clutter_per_ping=20.0, closing_mps=1.0, **extra)
-        for ping, truth in zip(*crossing_scene(seed, 20.0), strict=True):
+        node = kind(clutter_per_ping=clutter, closing_mps=1.0, **extra, **settings)
+        for ping, truth in zip(*crossing_scene(seed, clutter), strict=True):
             errors.append(ospa(node(ping).intensity.state, truth))
-    assert np.mean(errors) < bound
+    return float(np.mean(errors))
+
+
+# Stone Soup's Gaussian-mixture PHD on the scene of benchmarks/phd.py: see docs/phd.md
+@pytest.mark.parametrize("kind", [ParticlePhd, GmPhd])
+def test_ospa_with_identities_is_clearly_better_than_without(kind):
+    for clutter, bound in ((5.0, 2.2), (20.0, 3.0)):
+        labelled, plain = (mean_ospa(kind, clutter, recursion=one) for one in ("labelled", "phd"))
+        assert labelled < bound
+        assert labelled < plain - 0.5
+
+
+def test_ospa_of_the_cardinalised_filter_in_heavy_clutter():
+    assert mean_ospa(GmCphd, 20.0) < 3.8
 
 
 def test_the_same_seed_gives_the_same_bits_in_threads_and_in_order(tmp_path):

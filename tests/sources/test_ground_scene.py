@@ -22,6 +22,10 @@ def first(count: int, **parameters: object) -> list:
     return list(itertools.islice(GroundScene(**parameters)(), count))
 
 
+def states(**parameters: object) -> list:
+    return [one.nav_state for one in GroundNav(**parameters)()]
+
+
 @pytest.mark.parametrize("sequence", SEQUENCES)
 def test_the_motion_of_the_vehicle_is_consistent(sequence):
     """Velocity and rates are the derivatives of position and attitude."""
@@ -143,7 +147,7 @@ def test_navigation_has_the_truth_and_its_errors():
     scene = GroundScene(mode="points", nav=True, ping_rate_hz=20.0, pings=200)
     noise = {"velocity_sd_mps": 0.1, "attitude_sd_deg": 1.0, "rate_sd_dps": 0.5, "altitude_sd_m": 0.3}
     apart = []
-    for view, sample in zip(scene(), GroundNav(**noise, seed=5)(), strict=False):
+    for view, (sample, _) in zip(scene(), GroundNav(**noise, seed=5)(), strict=False):
         true = view.ping.nav
         assert sample.stamp_ns == true.stamp_ns
         assert_allclose(sample.position_m, true.position_m)
@@ -161,19 +165,19 @@ def test_navigation_has_the_truth_and_its_errors():
 
 
 def test_biases_stay_and_losses_come_at_their_rate():
-    biased = list(GroundNav(heading_bias_sd_deg=5.0, attitude_sd_deg=0.0, duration_s=2.0, seed=1)())
-    straight = list(GroundNav(attitude_sd_deg=0.0, duration_s=2.0, seed=1)())
+    biased = states(heading_bias_sd_deg=5.0, attitude_sd_deg=0.0, duration_s=2.0, seed=1)
+    straight = states(attitude_sd_deg=0.0, duration_s=2.0, seed=1)
     apart = [a.attitude_rad[2] - b.attitude_rad[2] for a, b in zip(biased, straight, strict=True)]
     assert_allclose(apart, apart[0], atol=1e-12)
     assert abs(apart[0]) > 1e-3
-    lossy = list(GroundNav(dvl_loss=0.3, duration_s=50.0)())
+    lossy = states(dvl_loss=0.3, duration_s=50.0)
     lost = [np.isnan(one.velocity_mps).all() and np.isnan(one.altitude_m) for one in lossy]
     assert_allclose(np.mean(lost), 0.3, atol=0.05)
     assert not any(np.isnan(one.attitude_rad).any() for one in lossy)
 
 
 def test_a_silent_link_sends_nothing():
-    stamps = [one.stamp_ns for one in GroundNav(silent_from_s=1.0, silent_to_s=3.0, duration_s=4.0)()]
+    stamps = [one.stamp_ns for one in states(silent_from_s=1.0, silent_to_s=3.0, duration_s=4.0)]
     gaps = np.diff(stamps) * 1e-9
     assert_allclose(gaps.max(), 2.05)
     assert len(stamps) == 81 - 40
@@ -181,11 +185,28 @@ def test_a_silent_link_sends_nothing():
 
 def test_the_altimeter_ahead_measures_the_slant_range():
     exact = {"altitude_sd_m": 0.0, "attitude_sd_deg": 0.0, "duration_s": 0.0, "sequence": "empty"}
-    (ahead,) = GroundNav(ahead_depression_deg=30.0, **exact)()
-    (state,) = GroundNav(**exact)()
+    (ahead,) = states(ahead_depression_deg=30.0, **exact)
+    (state,) = states(**exact)
     beam = rotation(state.attitude_rad) @ [np.cos(np.pi / 6), 0.0, np.sin(np.pi / 6)]
     assert_allclose(ahead.altitude_m * beam[2], state.altitude_m, rtol=1e-3)
     assert np.isnan(ahead.velocity_mps).all()
+
+
+def test_the_beams_of_the_dvl_measure_the_floor_that_the_vehicle_sees():
+    """On a slope, the feet of the beams lie on it; lost, they say nothing."""
+    slopes = {"slope_north_deg": 4.0, "slope_east_deg": -6.0}
+    exact = {"attitude_sd_deg": 0.0, "altitude_sd_m": 0.0, "beam_sd_m": 0.0, "duration_s": 5.0}
+    floor = GroundScene(**slopes).floor
+    for state, beams in GroundNav(**slopes, **exact)():
+        feet = state.position_m + (beams.direction * beams.range_m[:, None]) @ rotation(state.attitude_rad).T
+        assert_allclose(feet[:, 2], floor.depth_at(feet[:, 0], feet[:, 1]), atol=1e-9)
+        assert_allclose(beams.direction[:, 2], np.cos(np.deg2rad(30.0)))
+    noisy = np.array([b.range_m for _, b in GroundNav(dvl_loss=0.2, duration_s=50.0, beam_sd_m=0.2)()])
+    true = np.array([b.range_m for _, b in GroundNav(duration_s=50.0, beam_sd_m=0.0)()])
+    lost = np.isnan(noisy).all(axis=1)
+    assert (lost == np.isnan(noisy).any(axis=1)).all()
+    assert_allclose(lost.mean(), 0.2, atol=0.05)
+    assert_allclose(np.nanstd(noisy - true), 0.2, rtol=0.1)
 
 
 @pytest.mark.parametrize(
@@ -201,6 +222,8 @@ def test_the_altimeter_ahead_measures_the_slant_range():
         (GroundNav, {"rate_hz": 0.0}, "rate_hz is 0.0"),
         (GroundNav, {"dvl_loss": 2.0}, "dvl_loss is 2.0"),
         (GroundNav, {"altitude_m": -1.0}, "altitude_m is -1.0"),
+        (GroundNav, {"dvl_tilt_deg": 0.0}, "dvl_tilt_deg is 0.0"),
+        (GroundNav, {"beam_sd_m": -1.0}, "beam_sd_m is -1.0"),
         (GroundNav, {"velocity_sd_mps": -0.1}, "velocity_sd_mps is -0.1"),
         (GroundNav, {"ahead_depression_deg": 95.0}, "ahead_depression_deg is 95.0"),
     ],

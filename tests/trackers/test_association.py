@@ -10,7 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fls_trackers.association import Association, associate
-from fls_trackers.gating import Gated
+from fls_trackers.belief import propagate
+from fls_trackers.events import all_events, plan
+from fls_trackers.gating import Gated, gate
 
 P_D, P_G = 0.9, 0.98
 MISS = 1.0 - P_D * P_G
@@ -33,7 +35,7 @@ def table(found: Association, likelihood: FloatArray) -> FloatArray:
 
 
 def ours(
-    likelihood: FloatArray, density: FloatArray, rank: npt.ArrayLike | None = None, max_shared: int = 12
+    likelihood: FloatArray, density: FloatArray, rank: npt.ArrayLike | None = None, max_shared: int = 14
 ) -> tuple[FloatArray, Association]:
     ranks = np.zeros(likelihood.shape[0], np.int64) if rank is None else np.asarray(rank, np.int64)
     found = associate(gated(likelihood), density, ranks, p_d=P_D, p_g=P_G, max_shared=max_shared)
@@ -162,3 +164,54 @@ def test_the_sum_over_events_is_bounded() -> None:
     beta, found = ours(likelihood, np.full(4000, 0.1))
     assert found.approximate == 1
     assert_allclose(beta.sum(axis=1), 1.0, rtol=1e-9)
+
+
+def exact(found: Gated, density: FloatArray) -> tuple[FloatArray, FloatArray, int]:
+    """The sum over all events of the pairs as one cluster, however wide, and its width."""
+    ratio = P_D / MISS * found.likelihood / density[found.places]
+    order, bit, ends, width = plan(found.start, found.places, density.size, 20)
+    assert width <= 20
+    return *all_events(order, found.start, bit, ends, ratio, width), width
+
+
+def crowd(rng: np.random.Generator) -> tuple[Gated, FloatArray]:
+    """Tracks 1.5 m apart on average, a metre uncertain, in clutter."""
+    n, density = int(rng.integers(8, 14)), 0.1
+    state = np.zeros((n, 4))
+    state[:, :2] = rng.uniform(0.0, 1.5 * np.sqrt(n), (n, 2))
+    P, R = np.tile(np.diag([0.5, 0.5, 1.0, 1.0]), (n, 1, 1)), np.tile(np.diag([0.05, 1.0]), (n, 1, 1))
+    echoes = state[rng.random(n) < P_D, :2]
+    echoes = echoes + rng.standard_normal(echoes.shape) * np.sqrt([0.55, 1.5])
+    false = rng.uniform(-3.0, 9.0, (rng.poisson(density * 144.0), 2))
+    y = np.concatenate([echoes, false])
+    return gate(state, P, R, y, 9.0), np.full(len(y), density)
+
+
+def test_wide_clusters_are_right_to_two_hundredths() -> None:
+    # Between 13 and 20 measurements shared at a time; exact up to 14 of them, propagated beyond.
+    rng, widths, errors = np.random.default_rng(11), [], []
+    while len(errors) < 60:
+        found, density = crowd(rng)
+        n = found.start.size - 1
+        *_, width = plan(found.start, found.places, density.size, 18)
+        if not 12 < width <= 18:
+            continue
+        beta, none, width = exact(found, density)
+        got = associate(found, density, np.zeros(n, np.int64), p_d=P_D, p_g=P_G)
+        widths.append(width)
+        errors.append(max(np.abs(got.beta - beta).max(), np.abs(got.beta_none - none).max()))
+    assert max(widths) > 14
+    assert max(errors) <= 0.02
+
+
+def test_propagation_alone_is_right_to_two_hundredths_when_all_share_all() -> None:
+    rng = np.random.default_rng(12)
+    for n in (11, 12, 13):
+        likelihood = rng.uniform(0.01, 1.0, (n, n + 2))
+        found, density = gated(likelihood), np.full(n + 2, 0.1)
+        beta, none, width = exact(found, density)
+        assert width > 12
+        ratio = P_D / MISS * found.likelihood / 0.1
+        b, b_none = propagate(found.start, found.places, ratio, n + 2, np.array([10**9]))
+        assert np.abs(b - beta).max() <= 0.02
+        assert np.abs(b_none - none).max() <= 0.02

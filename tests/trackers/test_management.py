@@ -19,6 +19,7 @@ from fls_trackers.track_bank import TrackBank, new_tracks
 DB = np.deg2rad(1.5)
 RULES = Rules(m1=8, n1=6, min_score=-np.inf, m2=20, n2=8, max_sd_m=20.0)
 TENTATIVE, CONFIRMED, LOST = 0, 1, 2
+NO_PAIRS = (np.zeros(3, np.int64), np.zeros(0, np.int64), np.zeros(0))
 
 
 def near(x: float, y: float) -> np.ndarray:
@@ -177,7 +178,7 @@ def pair(offset: float, dv: float = 0.0) -> TrackBank:
 
 def repeats_after(bank: TrackBank, none: tuple[float, float], pings: int) -> list[bool]:
     for _ in range(pings):
-        repeats = suspect(bank.ledger, bank.state, bank.covariance, np.array(none), 10)
+        repeats = suspect(bank.ledger, bank.state, bank.covariance, np.array(none), 10, NO_PAIRS)
     return [bool(r) for r in repeats]
 
 

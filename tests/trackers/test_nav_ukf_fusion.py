@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fls_flow import Detections, NavState, Ping
+from fls_flow import AltimeterBeams, Detections, NavState, Ping
+from fls_flow.geometry import rotation
 from fls_flow.testing import check_node
 from fls_sources.ground_nav import GroundNav
 from fls_sources.ground_scene import GroundScene
+from fls_trackers.ground_floor import four_beams
 from fls_trackers.nav_fusion import NavFusion
 from fls_trackers.nav_samples import interpolated, row
 
 NAN = float("nan")
 UNKNOWN = (NAN, NAN, NAN)
+LEVEL = (0.0, 0.0, 0.0)
 S = 1_000_000_000
 
 
@@ -109,9 +112,10 @@ def test_dead_reckoning_comes_back_to_where_the_vehicle_is():
     """Velocity and attitude of the manoeuvre at 20 Hz, without a position: 20 s, 30 m."""
     exact = {"velocity_sd_mps": 0.0, "attitude_sd_deg": 0.0, "rate_sd_dps": 0.0, "altitude_sd_m": 0.0}
     fusion = NavFusion(dead_reckon=True)
-    with_position = list(GroundNav(**exact, duration_s=20.0)())
+    with_position = [one.nav_state for one in GroundNav(**exact, duration_s=20.0)()]
     start = np.array(with_position[0].position_m)
-    for known, one in zip(with_position, GroundNav(**exact, duration_s=20.0, position=False)(), strict=True):
+    reckoned = GroundNav(**exact, duration_s=20.0, position=False)()
+    for known, (one, _) in zip(with_position, reckoned, strict=True):
         at = replace(ping(0.0), stamp_ns=one.stamp_ns)
         found = np.array(fusion(at, (one,)).ping.nav.position_m)
         assert_allclose(found[:2] + start[:2], known.position_m[:2], atol=0.02)
@@ -141,11 +145,72 @@ def test_two_altimeters_give_the_floor_and_one_a_level_one():
     assert not NavFusion()(ping(1.0), (replace(below, altitude_m=NAN),)).floor.known
 
 
+def beams(
+    t_s: float, slope: tuple[float, float], attitude: tuple[float, float, float] = LEVEL
+) -> AltimeterBeams:
+    """What four beams measure 10 m above a floor that falls by `slope` to north and east."""
+    direction = four_beams(np.deg2rad(30.0))
+    towards = direction @ rotation(attitude).T @ np.array([-slope[0], -slope[1], 1.0])
+    return AltimeterBeams(0, round(t_s * S), direction, 10.0 / towards)
+
+
+def tilted(t_s: float) -> NavState:
+    return sample(t_s, attitude_rad=(0.1, -0.2, 0.7), altitude_m=10.0)
+
+
+@pytest.mark.parametrize("slope", [(0.0, 0.0), (0.1, -0.05), (-0.3, 0.2)])
+def test_the_beams_of_a_dvl_give_the_whole_slope(slope):
+    fused = NavFusion()(ping(1.0), (tilted(1.0),), (), None, (beams(1.0, slope, (0.1, -0.2, 0.7)),))
+    normal = np.array([-slope[0], -slope[1], 1.0])
+    assert_allclose(fused.floor.normal, normal / np.linalg.norm(normal), atol=1e-9)
+    assert_allclose(fused.floor.height_m, 10.0 / np.linalg.norm(normal))
+
+
+def test_three_beams_are_enough_two_are_not_and_one_wrong_measurement_does_no_harm():
+    def floor_of(*seen: AltimeterBeams) -> np.ndarray:
+        still = sample(1.0, attitude_rad=LEVEL, attitude_rate_radps=LEVEL)
+        return NavFusion()(ping(1.0), (still,), (), None, seen).floor.normal
+
+    true = np.array([-0.1, 0.05, 1.0]) / np.linalg.norm([-0.1, 0.05, 1.0])
+    one = beams(1.0, (0.1, -0.05))
+    three, two, lost = (
+        replace(one, range_m=np.where(np.arange(4) < n, one.range_m, np.nan)) for n in (3, 2, 0)
+    )
+    assert_allclose(floor_of(three), true, atol=1e-9)
+    assert_allclose(floor_of(two), (0.0, 0.0, 1.0))
+    assert_allclose(floor_of(lost), (0.0, 0.0, 1.0))
+    assert_allclose(floor_of(AltimeterBeams(0, S)), (0.0, 0.0, 1.0))
+    line = replace(one, direction=np.array([[s, 0.0, 1.0] for s in (-0.3, -0.1, 0.1, 0.3)]))
+    assert_allclose(floor_of(line), (0.0, 0.0, 1.0))
+    wrong = replace(one, stamp_ns=round(0.95 * S), range_m=one.range_m * [1.0, 3.0, 1.0, 1.0])
+    assert_allclose(floor_of(beams(0.9, (0.1, -0.05)), wrong, one), true, atol=1e-9)
+
+
+def test_noisy_beams_are_averaged_and_old_ones_forgotten():
+    rng, fusion = np.random.default_rng(0), NavFusion(floor_memory_s=1.0)
+    apart = []
+    for k in range(400):
+        slope = (0.1, 0.0) if k < 200 else (-0.1, 0.0)
+        true = beams(0.05 * k, slope)
+        seen = replace(true, range_m=true.range_m + 0.05 * rng.standard_normal(4))
+        fused = fusion(ping(0.05 * k), (sample(0.05 * k, attitude_rad=LEVEL),), (), None, (seen,))
+        apart.append(-fused.floor.normal[0] / fused.floor.normal[2] - slope[0])
+    settled = np.array(apart[25:200] + apart[225:])
+    single = 0.05 / np.cos(np.deg2rad(30.0)) / (2.0 * 10.0 * np.tan(np.deg2rad(30.0)) / np.sqrt(2.0))
+    assert settled.std() < 0.45 * single
+    assert np.abs(settled).max() < 2.0 * single
+    assert NavFusion()(ping(9.0), (sample(9.0),), (), None, (beams(1.0, (0.3, 0.0)),)).floor.slope_rad == 0.0
+
+
 def test_memory_is_bounded():
     fusion = NavFusion()
     for k in range(2000):
-        fusion(ping(0.1 * k), tuple(sample(0.1 * k + 0.01 * n) for n in range(10)))
+        samples = tuple(sample(0.1 * k + 0.01 * n) for n in range(10))
+        fusion(
+            ping(0.1 * k), samples, (), None, tuple(beams(0.1 * k + 0.01 * n, LEVEL[:2]) for n in range(10))
+        )
     assert len(fusion.snapshot()["samples"]["stamps_ns"]) < 150
+    assert len(fusion.snapshot()["slopes"]["stamps_ns"]) < 250
 
 
 def test_interpolation_of_nothing_is_unknown():
@@ -162,7 +227,7 @@ def test_the_error_after_interpolation_is_that_of_the_curvature():
     for view in scene():
         samples = []
         while last < view.ping.stamp_ns:
-            samples.append(next(stream))
+            samples.append(next(stream).nav_state)
             last = samples[-1].stamp_ns
         got, true = fusion(view.ping, tuple(samples)).ping.nav, view.ping.nav
         assert_allclose(got.attitude_rad, true.attitude_rad, atol=1e-4)
@@ -174,6 +239,7 @@ def test_the_error_after_interpolation_is_that_of_the_curvature():
     ("parameters", "text"),
     [
         ({"max_age_s": 0.0}, "max_age_s is 0.0"),
+        ({"floor_memory_s": 0.0}, "floor_memory_s is 0.0"),
         ({"ahead_depression_deg": 90.0}, "ahead_depression_deg is 90.0"),
     ],
 )

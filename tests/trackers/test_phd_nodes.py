@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,18 @@ from fls_trackers.particle_phd import fls_node as particle_node
 from fls_trackers.phd_identity import TracksAndIntensity
 
 KINDS = [ParticlePhd, GmPhd, GmCphd]
+RECURSIONS = [
+    partial(ParticlePhd, recursion="labelled"),
+    partial(ParticlePhd, recursion="phd"),
+    partial(GmPhd, recursion="labelled"),
+    partial(GmPhd, recursion="phd"),
+    GmCphd,
+]
 SCENE: dict[str, Any] = {"births": "anywhere", "sigma_range_m": 0.1, "sigma_bearing_deg": 0.5, "p_b": 0.05}
 CONFIRMED, LOST = TrackStatus.CONFIRMED, TrackStatus.LOST
 
 
-@pytest.fixture(params=KINDS, ids=["particle", "gm", "gm-cphd"])
+@pytest.fixture(params=RECURSIONS, ids=["particle", "particle-phd", "gm", "gm-phd", "gm-cphd"])
 def kind(request: pytest.FixtureRequest) -> Any:
     return request.param
 
@@ -185,9 +193,10 @@ def test_equal_seeds_give_equal_bits_and_others_do_not(observe: Callable[..., De
 
 
 def test_the_order_of_detections_does_not_matter(kind: Any, observe: Callable[..., Detections]) -> None:
-    # births near measurements are drawn in their order
-    kind_settings = {**SCENE, "birth_proposal": "uniform"} if kind is ParticlePhd else SCENE
-    node, other = kind(**kind_settings), kind(**kind_settings)
+    node, other = kind(**SCENE), kind(**SCENE)
+    if isinstance(node, ParticlePhd):  # births near measurements are drawn in their order
+        settings = {**SCENE, "birth_proposal": "uniform", "recursion": "phd"}
+        node, other = ParticlePhd(**settings), ParticlePhd(**settings)
     rng = np.random.default_rng(0)
     for d in two_in_clutter(observe, 15, false=6.0):
         a, b = node(d), other(d.select(rng.permutation(len(d))))
@@ -254,6 +263,14 @@ def test_bad_parameters_are_named_with_their_value(kind: Any, settings: dict[str
         (lambda: ParticlePhd(resampling_power=1.5), "resampling_power = 1.5"),
         (lambda: ParticlePhd(birth_proposal="other"), "birth_proposal = 'other'"),  # type: ignore[arg-type]
         (lambda: ParticlePhd(floor_sd_m=0.0), "floor_sd_m = 0.0"),
+        (lambda: ParticlePhd(recursion="other"), "recursion = 'other'"),  # type: ignore[arg-type]
+        (
+            lambda: ParticlePhd(birth_proposal="uniform"),
+            "birth_proposal = 'uniform': needs recursion = 'phd'",
+        ),
+        (lambda: ParticlePhd(prune_existence=0.5), "prune_existence = 0.5"),
+        (lambda: GmPhd(recursion="other"), "recursion = 'other'"),  # type: ignore[arg-type]
+        (lambda: GmCphd(recursion="labelled"), "recursion = 'labelled'"),
         (lambda: GmPhd(prune_weight=0.5), "prune_weight = 0.5"),
         (lambda: GmPhd(merge_distance=-1.0), "merge_distance = -1.0"),
         (lambda: GmPhd(max_components=0), "max_components = 0"),

@@ -10,8 +10,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fls_trackers.particle_phd import ParticlePhd
+from fls_trackers.phd_births import born
 from fls_trackers.phd_mixture import centres, fitted, local_mass
-from fls_trackers.phd_particles import born, propagated, resampled, updated
+from fls_trackers.phd_particles import propagated, resampled, updated
 from fls_trackers.phd_sector import Births, Measurements, Sector
 
 SECTOR = Sector(20.0, 60.0, -math.radians(5.0), math.radians(5.0))
@@ -98,7 +99,7 @@ def test_predicted_mass_is_what_survives_and_what_is_born():
     moved, left = propagated(state, weight, 1.0, 0.1, 0.99, SECTOR, rng)
     assert_allclose(left.sum(), 0.99 * 2.0, rtol=1e-12)
     assert_allclose(moved[:, 0].mean(), 39.0, atol=0.02)
-    new, mass = born(500, SECTOR, FAR_END, None, rng)
+    new, mass, _ = born(500, SECTOR, FAR_END, None, rng)
     assert_allclose(mass.sum(), 0.1, rtol=1e-12)
     r, b = np.hypot(new[:, 0], new[:, 1]), np.arctan2(new[:, 1], new[:, 0])
     assert ((r >= 56.0) & (r <= 60.0) & (np.abs(b) <= math.radians(5.0))).all()
@@ -115,7 +116,7 @@ def test_process_noise_moves_position_and_velocity_together():
 def test_births_near_measurements_have_the_density_of_births_everywhere():
     everywhere = FAR_END.everywhere(1.0, SECTOR)
     z = measured([30.0, 30.6, 50.0], [0.0, 0.005, 0.03])
-    state, weight = born(200_000, SECTOR, everywhere, z, np.random.default_rng(5))
+    state, weight, which = born(200_000, SECTOR, everywhere, z, np.random.default_rng(5))
     r, b = np.hypot(state[:, 0], state[:, 1]), np.arctan2(state[:, 1], state[:, 0])
     for low, high, left, right in (
         (29.8, 30.3, -0.004, 0.004),
@@ -126,6 +127,7 @@ def test_births_near_measurements_have_the_density_of_births_everywhere():
         area = 0.5 * (right - left) * (high**2 - low**2)
         assert_allclose(weight[cell].sum(), area / SECTOR.area_m2, rtol=0.04)
     assert weight.max() * weight.size < 60.0 * weight.sum()  # the cut bounds the weights
+    assert (np.abs(r - z.range_m[which]) <= 3.0 * SD[0]).all()
     assert born(10, SECTOR, FAR_END, measured([], []), np.random.default_rng(0))[0].shape == (0, 4)
 
 
@@ -135,12 +137,10 @@ def test_resampling_keeps_the_mass_and_draws_in_proportion(n, power):
     rng = np.random.default_rng(6)
     weight = rng.exponential(0.01, 300)
     weight[[0, 17, 299]] = 0.0
-    state = np.arange(300.0)[:, None] * np.ones(4)
-    drawn, each = resampled(state, weight, n, power, rng)
+    of, each = resampled(weight, n, power, rng)
     assert_allclose(each.sum(), weight.sum(), rtol=1e-12)
     if power == 1.0:
         assert_array_equal(each, each[0])
-    of = drawn[:, 0].astype(int)
     counts = np.bincount(of, minlength=300)
     expected = n * weight**power / (weight**power).sum()
     assert (counts >= np.floor(expected - 1e-9)).all()
@@ -150,26 +150,28 @@ def test_resampling_keeps_the_mass_and_draws_in_proportion(n, power):
 @pytest.mark.parametrize("power", [1.0, 0.6])
 def test_on_average_resampling_leaves_each_particle_its_weight(power):
     rng = np.random.default_rng(9)
-    weight, state = rng.exponential(0.01, 50), np.arange(50.0)[:, None] * np.ones(4)
+    weight = rng.exponential(0.01, 50)
     total, runs = np.zeros(50), 2000
     for _ in range(runs):
-        drawn, each = resampled(state, weight, 100, power, rng)
-        total += np.bincount(drawn[:, 0].astype(int), each, minlength=50)
+        drawn, each = resampled(weight, 100, power, rng)
+        total += np.bincount(drawn, each, minlength=50)
     assert_allclose(total / runs, weight, rtol=0.1, atol=2e-4)
 
 
 def test_nothing_is_left_of_no_mass():
-    state, weight = resampled(np.ones((4, 4)), np.zeros(4), 10, 1.0, np.random.default_rng(0))
-    assert state.shape == (0, 4)
+    drawn, weight = resampled(np.zeros(4), 10, 1.0, np.random.default_rng(0))
+    assert drawn.shape == (0,)
     assert weight.shape == (0,)
 
 
-@pytest.mark.parametrize("proposal", ["uniform", "measured"])
-def test_a_weak_birth_grows_to_a_target(detections, view, proposal):
+@pytest.mark.parametrize(
+    ("proposal", "recursion"), [("uniform", "phd"), ("measured", "phd"), ("measured", "labelled")]
+)
+def test_a_weak_birth_grows_to_a_target(detections, view, proposal, recursion):
     # rounding the mass at each resampling would hold it at 0 (ALGORITHMS, E-C4)
     node = ParticlePhd(
         closing_mps=1.0, clutter_per_ping=20.0, prior_targets=1e-6, p_b=0.1, birth_depth_m=4.0,
-        birth_proposal=proposal, sigma_range_m=0.5, sigma_bearing_deg=0.5, seed=1,
+        birth_proposal=proposal, recursion=recursion, sigma_range_m=0.5, sigma_bearing_deg=0.5, seed=1,
     )  # fmt: skip
     mass = [node(detections(0, [], [])).intensity.expected_targets]
     for k in range(1, 8):

@@ -6,19 +6,22 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from fls_flow import Detections
 from fls_flow.geometry import Pose
-from fls_trackers.association import associate
-from fls_trackers.conversion import noise_at
+from fls_trackers.association import ASSIGNED, INDEPENDENT, JOINT, associate, evidence
+from fls_trackers.clutter import cell_density
+from fls_trackers.conversion import convert, noise_at
 from fls_trackers.gating import gate
 from fls_trackers.initiation import by_place
 from fls_trackers.kalman import predict, update
-from fls_trackers.life import Rules, judge
-from fls_trackers.scan import scan
+from fls_trackers.life import LOST, Rules, judge
+from fls_trackers.scan import Method, Scanned, Starts, scan
 from fls_trackers.settings import Grain, settings_of
 from fls_trackers.track_bank import TrackBank, new_tracks
 
 GRAIN = Grain(0.05, 0.03, 0.05, 0.03, 1000.0)
 POSE = Pose(1.0, -2.0, 0.3)
+CLUTTER = (1e-6, 0.01)
 
 
 def bank_of(rng: np.random.Generator, n: int) -> TrackBank:
@@ -29,39 +32,85 @@ def bank_of(rng: np.random.Generator, n: int) -> TrackBank:
     return bank
 
 
+def pings(rng: np.random.Generator, bank: TrackBank, m: int) -> Detections:
+    near = POSE.to_sensor(bank.state[: m // 2, :2] + 0.2)
+    far = rng.uniform(10.0, 30.0, (m - len(near), 2))
+    xy = np.concatenate([near.reshape(-1, 2), far])
+    return Detections(
+        0,
+        0,
+        np.hypot(*xy.T),
+        np.arctan2(xy[:, 1], xy[:, 0]),
+        rng.random(m),
+        np.zeros((m, 2)),
+        np.zeros((m, 2, 2)),
+        np.zeros(m, np.uint8),
+    )
+
+
+def rules_of(s: object) -> Rules:
+    return Rules(*(getattr(s, name) for name in ("m1", "n1", "start_score", "m2", "n2", "max_sd_m")))
+
+
+def whole(bank: TrackBank, ping: Detections, dt_s: float, sharing: int = JOINT, room: int = 100) -> Scanned:
+    s = settings_of("recommended", {})
+    starts = Starts(room, 50, s.speed_sd_mps)
+    return scan(bank, ping, None, dt_s, GRAIN, POSE, s, rules_of(s), Method(sharing, 12), CLUTTER, starts)
+
+
+@pytest.mark.parametrize("sharing", [JOINT, INDEPENDENT, ASSIGNED])
 @pytest.mark.parametrize(("n", "m"), [(0, 0), (0, 5), (5, 0), (1, 1), (12, 40)])
 @pytest.mark.parametrize("dt_s", [0.0, 0.5])
-def test_a_scan_is_its_steps(n: int, m: int, dt_s: float) -> None:
+def test_a_scan_is_its_steps(n: int, m: int, dt_s: float, sharing: int) -> None:
     rng = np.random.default_rng(n + m)
     s, bank = settings_of("recommended", {}), bank_of(rng, n)
-    rules = Rules(s.m1, s.n1, s.start_score, s.m2, s.n2, s.max_sd_m)
-    y = np.concatenate([bank.state[: m // 2, :2] + 0.2, rng.uniform(10.0, 30.0, (m - min(m // 2, n), 2))])
-    density = np.full(len(y), 0.01)
+    ping = pings(rng, bank, m)
+    y, R0 = convert(ping.range_m, ping.bearing_rad, GRAIN.range_sd_m, GRAIN.bearing_sd_rad, POSE)
+    density = cell_density(ping.range_m, CLUTTER[0], GRAIN.cell_m, GRAIN.spacing_rad, CLUTTER[1])
     x, P = (
         predict(bank.state, bank.covariance, dt_s, s.sigma_v_mps2) if dt_s else (bank.state, bank.covariance)
     )
     R = noise_at(x, GRAIN.range_sd_m, GRAIN.bearing_sd_rad, POSE)
     gated = gate(x, P, R, y, s.gamma)
     rank = (bank.ledger["status"] == 0).astype(np.int64)
-    found = associate(gated, density, rank, p_d=s.p_d, p_g=s.gate_probability)
+    found = associate(gated, density, rank, p_d=s.p_d, p_g=s.gate_probability, sharing=sharing)
     x, P = update(x, P, R, y, gated.start, gated.places, found.beta, found.beta_none)
     miss = 1.0 - s.p_d * s.gate_probability
-    rows, keep = judge(bank.ledger, x, P, found.in_gate, found.beta_none, miss, True, s.merge_pings, rules)
-    whole = scan(bank, y, density, dt_s, GRAIN, POSE, s, rules, 12)
-    assert_array_equal(whole.bank.state, x)
-    assert_array_equal(whole.bank.covariance, P)
-    assert_array_equal(whole.bank.ledger, rows)
-    assert_array_equal(whole.keep, keep)
-    assert_array_equal(whole.taken, found.taken)
-    assert_array_equal(whole.claimed, found.claimed)
+    score = found.beta_none
+    if sharing == ASSIGNED:
+        score = evidence(*gated, density, s.p_d / miss, found.beta, found.beta_none)
+    apart = np.zeros_like(gated.start) if sharing != INDEPENDENT else gated.start
+    pairs = (apart, gated.places, found.beta)
+    rows, keep = judge(
+        bank.ledger,
+        x,
+        P,
+        found.in_gate,
+        found.beta_none,
+        score,
+        miss,
+        True,
+        s.merge_pings,
+        rules_of(s),
+        pairs,
+    )
+    which = by_place(found.taken <= 0.5, ping.range_m, ping.bearing_rad)
+    new = new_tracks(y, R0, (s.speed_sd_mps,) * 2, 0, which)
+    new.ledger["id"] = 50 + np.arange(len(new))
+    expected = TrackBank(x, P, rows).renewed(keep | (rows["status"] == LOST), new)
+    got = whole(bank, ping, dt_s, sharing)
+    assert_array_equal(got.bank.state, expected.state)
+    assert_array_equal(got.bank.covariance, expected.covariance)
+    assert_array_equal(got.bank.ledger, expected.ledger)
+    assert_array_equal(got.unclaimed, ~found.claimed)
+    assert (got.begun, got.finite, got.cut) == (len(new), True, False)
 
 
 def test_a_scan_writes_none_of_its_inputs() -> None:
     rng = np.random.default_rng(1)
-    s, bank, y = settings_of("recommended", {}), bank_of(rng, 6), rng.uniform(10.0, 30.0, (20, 2))
+    bank = bank_of(rng, 6)
     before = (bank.state.copy(), bank.covariance.copy(), bank.ledger.copy())
-    rules = Rules(s.m1, s.n1, s.start_score, s.m2, s.n2, s.max_sd_m)
-    after = scan(bank, y, np.full(20, 0.01), 0.5, GRAIN, POSE, s, rules, 12).bank
+    after = whole(bank, pings(rng, bank, 20), 0.5).bank
     for old, kept, new in zip(
         before,
         (bank.state, bank.covariance, bank.ledger),
@@ -70,6 +119,26 @@ def test_a_scan_writes_none_of_its_inputs() -> None:
     ):
         assert_array_equal(old, kept)
         assert not np.shares_memory(kept, new)
+
+
+def test_strided_detections_give_the_same_bits() -> None:
+    rng = np.random.default_rng(3)
+    bank = bank_of(rng, 6)
+    ping = pings(rng, bank, 20)
+    pairs = [np.stack([row, row], axis=1) for row in (ping.range_m, ping.bearing_rad, ping.amplitude)]
+    strided = Detections(0, 0, *(pair[:, 1] for pair in pairs), ping.extent, ping.covariance, ping.kind)
+    assert not strided.range_m.flags.c_contiguous
+    assert_array_equal(whole(bank, ping, 0.5).bank.state, whole(bank, strided, 0.5).bank.state)
+
+
+def test_no_room_starts_the_strongest() -> None:
+    rng = np.random.default_rng(4)
+    ping = pings(rng, TrackBank(), 20)
+    found = whole(TrackBank(), ping, 0.5, room=4)
+    assert (found.begun, found.cut) == (4, True)
+    strongest = np.argsort(-ping.amplitude)[:4]
+    y, _ = convert(ping.range_m, ping.bearing_rad, GRAIN.range_sd_m, GRAIN.bearing_sd_rad, POSE)
+    assert sorted(found.bank.state[:, 0]) == sorted(y[strongest, 0])
 
 
 def test_starts_stand_in_order_of_place() -> None:

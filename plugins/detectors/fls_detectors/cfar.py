@@ -7,64 +7,35 @@ sum, which drifts), so it is right to a few units in 1e-7 and its margin makes u
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from fls_detectors.reference import NO_FLAGS, REFERENCE, TEST, Flags, Window
 from fls_flow.kernels import compiled, frozen
 
-__all__ = ["NO_FLAGS", "REFERENCE", "TEST", "Window", "rayleigh_factors", "rayleigh_hits"]
+__all__ = [
+    "NO_FLAGS",
+    "REFERENCE",
+    "TEST",
+    "Flags",
+    "Window",
+    "rayleigh_factors",
+    "rayleigh_hits",
+]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
-Flags = npt.NDArray[np.uint8]
 
-REFERENCE, TEST = 1, 2  # bits of a cell's flag: it may serve as reference, it is to be tested
-NO_FLAGS: Flags = np.zeros((0, 0), np.uint8)  # stands for: every cell is both
-CHUNK_CELLS = 1 << 16  # worked on at once: the float32 planes of a chunk fit the second-level cache
+CHUNK_CELLS = 1 << 14  # worked on at once, if there are not many beams: the planes fit the nearest caches
 SIFT_CELLS = 256  # looked through once more, one by one, if any of them may be a hit
 MARGIN = np.float32(1.0 - 1e-5)  # of the screen, over float32 rounding
 HUGE = np.float32(1e38)  # sums beyond it would overflow the screen
 
 
-class Window(NamedTuple):
-    """Which cells around the one under test are its reference, in cells and beams.
-
-    They lie in the beams |dn| <= `beams`, at the rows guard + 1 + k stride, k = 0 .. 2^levels - 1, before
-    and behind. Where fewer than the least number are usable, k goes on to `widest`.
-    """
-
-    guard: int
-    stride: int
-    levels: int
-    beams: int
-    widest: int
-
-    @property
-    def size(self) -> int:
-        """J, the number of reference cells of a cell far from all edges."""
-        return int(2 ** (self.levels + 1) * (2 * self.beams + 1))
-
-    @classmethod
-    def of(
-        cls,
-        cell_m: float,
-        *,
-        guard_m: float,
-        guard_beams: int,
-        reference_m: float,
-        max_ref: int,
-        widen_m: float,
-    ) -> Window:
-        """The window for range cells of `cell_m`: at most `max_ref`, spread over `reference_m` a side."""
-        levels = int(np.log2(max_ref // (2 * (2 * guard_beams + 1))))
-        stride = max(1, int(reference_m / cell_m / 2**levels + 0.5))
-        return cls(
-            int(guard_m / cell_m + 0.5), stride, levels, guard_beams, int(widen_m / (cell_m * stride) + 0.5)
-        )
-
-
+@lru_cache(maxsize=64)
 def rayleigh_factors(pfa: float, min_ref: int, size: int) -> FloatArray:
     """a(J) = pfa^(-1/J) - 1 for J = 0 .. size - 1; infinite below `min_ref`, where nothing is decided.
 
@@ -75,7 +46,7 @@ def rayleigh_factors(pfa: float, min_ref: int, size: int) -> FloatArray:
     count = np.arange(size)
     with np.errstate(over="ignore"):  # few cells and a small pfa: infinite, which is what it means
         factors = np.expm1(-np.log(pfa) / np.maximum(count, 1))
-    return np.where(count < max(min_ref, 1), np.inf, factors)
+    return frozen(np.where(count < max(min_ref, 1), np.inf, factors))
 
 
 def rayleigh_hits(
@@ -86,21 +57,27 @@ def rayleigh_hits(
     min_ref: int = 8,
     floor: float = 0.0,
     flags: Flags = NO_FLAGS,
+    scale: FloatArray | None = None,
 ) -> BoolArray:
-    """Which cells (n_ranges, n_beams) exceed T = sqrt(a(J) max(sum x_j^2, J floor^2)), strictly.
+    """Which cells (n_ranges, n_beams) exceed T = scale sqrt(a(J) max(sum x_j^2, J floor^2)), strictly.
 
-    J and the sum run over the reference cells that exist and carry `REFERENCE` in `flags`. No hit is given by
-    cells without `TEST`, without `min_ref` reference cells, or, with floor 0, whose reference is nothing but
-    zeros. Cells that are not finite must have flag 0.
+    J and the sum run over the reference cells that exist and carry `REFERENCE` in `flags`; `scale` has an
+    entry per beam and is 1 by default. No hit is given by cells without `TEST`, without `min_ref` reference
+    cells, or, with floor 0, whose reference is nothing but zeros. Cells that are not finite must have flag 0.
 
     Source: Karoui 2015 (4).
     """
     n_ranges, n_beams = amplitude.shape
-    window = window._replace(guard=min(window.guard, n_ranges), stride=min(window.stride, max(n_ranges, 1)))
-    factors = rayleigh_factors(pfa, min_ref, window.size + 2 * (2 * window.beams + 1))
+    window = window.within(n_ranges)
+    scale = np.ones(n_beams) if scale is None else scale
+    least = float(scale.min(initial=np.inf))
     hits = np.zeros((n_ranges, n_beams), bool)
+    factors = rayleigh_factors(pfa, min_ref, window.most)
     if amplitude.size and np.isfinite(factors[window.size]):
-        _screen(frozen(amplitude), frozen(flags), window, factors, floor * floor, hits)
+        relative = frozen(np.square(scale / least))
+        factors = factors * (least * least)
+        kind = np.zeros(0, np.uint8 if window.size < 256 else np.uint32)
+        _screen(frozen(amplitude), frozen(flags), window, factors, relative, floor * floor, kind, hits)
     return hits
 
 
@@ -110,33 +87,54 @@ def _screen(
     flags: Flags,
     window: Window,
     factors: FloatArray,
+    relative: FloatArray,
     floor_power: float,
+    kind: npt.NDArray[Any],
     hits: BoolArray,
 ) -> None:
     """Go along the ranges in chunks of rows, kept flat: loops are long even when the beams are few.
 
-    `sums` holds 2 reach rows of history, then the chunk; `power`, whose rows wait for their reference
-    behind, reach rows and the chunk.
+    `sums` holds 2 reach rows of history, then the chunk, and so does `counts`, of the dtype of `kind`;
+    `power`, whose rows wait for their reference behind, reach rows and the chunk.
     """
     n_ranges, n_beams = amplitude.shape
     reach = window.guard + 1 + ((1 << window.levels) - 1) * window.stride
-    rows = min(max(CHUNK_CELLS // n_beams, 64), n_ranges + reach)
+    rows = min(max(CHUNK_CELLS // n_beams, 64, 2 * reach), n_ranges + reach)  # reach rows are history
     new = rows * n_beams
     sums = np.zeros(2 * reach * n_beams + new, np.float32)
     power = np.zeros(reach * n_beams + new, np.float32)
     reference = np.zeros(new if flags.size else 0, np.float32)
+    usable = np.zeros(new if flags.size else 0, kind.dtype)
+    counts = np.zeros(sums.size if flags.size else 0, kind.dtype)
     for front in range(0, n_ranges + reach, rows):
         entered = power[reach * n_beams :]
-        _enter(amplitude, flags, front, entered, reference)
+        _enter(amplitude, flags, front, entered, reference, usable)
         chosen = reference if flags.size else entered
-        _sum_beams(chosen, n_beams, window.beams, sums[2 * reach * n_beams :])
-        for level in range(window.levels):
-            shift = (1 << level) * window.stride * n_beams
-            _double(sums[sums.size - new - 2 * shift + window.stride * n_beams :], new, shift)
+        _sum_window(chosen, n_beams, window, new, sums)
         behind = sums[(reach + window.guard + 1) * n_beams :]
-        _sift(amplitude, flags, front - reach, rows, window, factors, floor_power, power, sums, behind, hits)
+        if flags.size:
+            _sum_window(usable, n_beams, window, new, counts)
+        counts_behind = counts[(reach + window.guard + 1) * n_beams :] if flags.size else counts
+        before, after = (sums, counts), (behind, counts_behind)
+        first = front - reach
+        _sift(
+            amplitude, flags, first, rows, window, factors, relative, floor_power, power, before, after, hits
+        )
         sums[:-new] = sums[new:].copy()
         power[:-new] = power[new:].copy()
+        if flags.size:
+            counts[:-new] = counts[new:].copy()
+
+
+@compiled
+def _sum_window(
+    cells: npt.NDArray[Any], n_beams: int, window: Window, new: int, sums: npt.NDArray[Any]
+) -> None:
+    """Turn the last `new` of `sums` into sums over one side of the window that ends there."""
+    _sum_beams(cells, n_beams, window.beams, sums[sums.size - new :])
+    for level in range(window.levels):
+        shift = (1 << level) * window.stride * n_beams
+        _double(sums[sums.size - new - 2 * shift + window.stride * n_beams :], new, shift)
 
 
 @compiled
@@ -146,19 +144,22 @@ def _enter(
     front: int,
     power: npt.NDArray[np.float32],
     reference: npt.NDArray[np.float32],
+    usable: npt.NDArray[Any],
 ) -> None:
-    """Fill in squares: of the cells to be tested, and of those that may be reference."""
+    """Fill in squares: of the cells to be tested, and of those that may be reference, with a 1 for each."""
     n_ranges, n_beams = amplitude.shape
     count = min(power.size, max(n_ranges - front, 0) * n_beams)
     cells = amplitude.reshape(-1)[front * n_beams :]
     power[count:] = np.float32(0.0)
     reference[count:] = np.float32(0.0)
+    usable[count:] = 0
     if flags.size:
         marks = flags.reshape(-1)[front * n_beams :]
         for i in range(count):
             x = np.float32(cells[i])
             power[i] = x * x if marks[i] & TEST else np.float32(0.0)
             reference[i] = x * x if marks[i] & REFERENCE else np.float32(0.0)
+            usable[i] = marks[i] & REFERENCE
     else:
         for i in range(count):
             x = np.float32(cells[i])
@@ -166,9 +167,7 @@ def _enter(
 
 
 @compiled
-def _sum_beams(
-    squares: npt.NDArray[np.float32], n_beams: int, beams: int, total: npt.NDArray[np.float32]
-) -> None:
+def _sum_beams(squares: npt.NDArray[Any], n_beams: int, beams: int, total: npt.NDArray[Any]) -> None:
     """Sum over the neighbouring beams: first across the ends of rows too, then the ends again, rightly."""
     n = squares.size
     if beams == 1 and n > 2:
@@ -180,23 +179,34 @@ def _sum_beams(
         for shift in range(1, min(beams, n_beams - 1) + 1):
             _add(total[shift:], squares[: n - shift])
             _add(total[: n - shift], squares[shift:])
-    for start in range(0, n, n_beams):
-        for edge in range(min(beams, n_beams)):
-            for beam in (edge, n_beams - 1 - edge):
-                one = np.float32(0.0)
-                for j in range(max(beam - beams, 0), min(beam + beams + 1, n_beams)):
-                    one += squares[start + j]
-                total[start + beam] = one
+    if beams == 1 and n_beams > 1:
+        for start in range(0, n, n_beams):
+            stop = start + n_beams
+            total[start] = squares[start] + squares[start + 1]
+            total[stop - 1] = squares[stop - 2] + squares[stop - 1]
+    else:
+        _sum_edges(squares, n_beams, beams, total)
 
 
 @compiled
-def _add(target: npt.NDArray[np.float32], other: npt.NDArray[np.float32]) -> None:
+def _sum_edges(squares: npt.NDArray[Any], n_beams: int, beams: int, total: npt.NDArray[Any]) -> None:
+    for start in range(0, squares.size, n_beams):
+        for edge in range(min(beams, n_beams)):
+            for beam in (edge, n_beams - 1 - edge):
+                first = max(beam - beams, 0)
+                total[start + beam] = squares[start + first]
+                for j in range(first + 1, min(beam + beams + 1, n_beams)):
+                    total[start + beam] += squares[start + j]
+
+
+@compiled
+def _add(target: npt.NDArray[Any], other: npt.NDArray[Any]) -> None:
     for i in range(target.size):
         target[i] += other[i]
 
 
 @compiled
-def _double(sums: npt.NDArray[np.float32], count: int, shift: int) -> None:
+def _double(sums: npt.NDArray[Any], count: int, shift: int) -> None:
     """Add to each of the first `count` what stands `shift` behind it."""
     for start in range(0, count, shift):  # blocks that don't overlap, else it isn't vectorised
         stop = min(start + shift, count)
@@ -211,29 +221,57 @@ def _sift(
     rows: int,
     window: Window,
     factors: FloatArray,
+    relative: FloatArray,
     floor_power: float,
     power: npt.NDArray[np.float32],
-    before: npt.NDArray[np.float32],
-    behind: npt.NDArray[np.float32],
+    before: tuple[npt.NDArray[np.float32], npt.NDArray[Any]],
+    behind: tuple[npt.NDArray[np.float32], npt.NDArray[Any]],
     hits: BoolArray,
 ) -> None:
-    """Decide the cells whose power exceeds the least threshold that their sum allows."""
+    """Decide the cells whose power exceeds the least threshold that their sum, and their count, allow."""
     n_beams = amplitude.shape[1]
     size = 2 * (1 << window.levels) * (2 * window.beams + 1)
     least = np.float32(factors[-1]) * MARGIN  # a(J) and J a(J) fall with J: no threshold lies below this
     floor_sum = np.float32(min(floor_power * size, float(HUGE)))
+    lowest, floor = _least_by_count(window, factors), np.float32(floor_power)
     stop = rows * n_beams
     for start in range(max(-first_row, 0) * n_beams, stop, SIFT_CELLS):
         piece = slice(start, min(start + SIFT_CELLS, stop))
-        tested, one, other = power[piece], before[piece], behind[piece]
+        tested, one, other = power[piece], before[0][piece], behind[0][piece]
         above = False
-        for i in range(tested.size):
-            above |= tested[i] > least * min(max(one[i] + other[i], floor_sum), HUGE)
-        if above:
+        if flags.size:
+            count, more = before[1][piece], behind[1][piece]
             for i in range(tested.size):
-                if tested[i] > least * min(max(one[i] + other[i], floor_sum), HUGE):
-                    row, beam = first_row + (start + i) // n_beams, (start + i) % n_beams
-                    hits[row, beam] = _exceeds(amplitude, flags, row, beam, window, factors, floor_power)
+                J = count[i] + more[i]
+                above |= tested[i] > lowest[J] * min(max(one[i] + other[i], np.float32(J) * floor), HUGE)
+        else:
+            for i in range(tested.size):
+                above |= tested[i] > least * min(max(one[i] + other[i], floor_sum), HUGE)
+        if not above:
+            continue
+        for i in range(tested.size):
+            if flags.size:
+                J = before[1][start + i] + behind[1][start + i]
+                possible = tested[i] > lowest[J] * min(max(one[i] + other[i], np.float32(J) * floor), HUGE)
+            else:
+                possible = tested[i] > least * min(max(one[i] + other[i], floor_sum), HUGE)
+            if possible:
+                row, beam = first_row + (start + i) // n_beams, (start + i) % n_beams
+                hits[row, beam] = _exceeds(
+                    amplitude, flags, row, beam, window, factors, relative[beam], floor_power
+                )
+
+
+@compiled
+def _least_by_count(window: Window, factors: FloatArray) -> npt.NDArray[np.float32]:
+    """The least threshold of cells with so many reference cells in the window."""
+    least = np.empty(factors.size + 256, np.float32)
+    wide = window.widest > 1 << window.levels
+    for count in range(least.size):
+        factor = factors[min(count, factors.size - 1)]
+        # where the window holds too few cells, only a wider one can tell
+        least[count] = np.float32(factor) * MARGIN if np.isfinite(factor) else 0.0 if wide else np.inf
+    return least
 
 
 @compiled
@@ -244,6 +282,7 @@ def _exceeds(
     beam: int,
     window: Window,
     factors: FloatArray,
+    relative: float,
     floor_power: float,
 ) -> bool:
     """Decide one cell in float64, its reference cells taken from the guard outwards."""
@@ -269,4 +308,4 @@ def _exceeds(
         if x * x <= factors[-1] * total:  # more cells only raise this bound of the threshold
             return False
     total = max(total, count * floor_power)
-    return total > 0.0 and x * x > factors[count] * total
+    return total > 0.0 and x * x > factors[count] * relative * total

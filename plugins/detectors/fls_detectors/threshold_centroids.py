@@ -24,6 +24,7 @@ class Regions(NamedTuple):
     size: FloatArray  # (n, 2) rows and columns that it spans
     cells: FloatArray  # (n,)
     peak: FloatArray  # (n,) largest amplitude
+    border: FloatArray  # (n,) part of its power in the first and last column
 
 
 @dataclass
@@ -35,7 +36,8 @@ class ThresholdCentroids:
     `min_cells` to `max_cells` cells: an object's echo is patchy, and trackers take each region for an object.
     Centroids are weighted by power; the covariance is that of a centroid known to a part of the region's
     size: its spread, plus a cell's own 1/12, over sqrt(2) per axis, and at least `min_sd_m` and
-    `min_sd_beams`.
+    `min_sd_beams`. Regions with more than `max_border_share` of their power in the first and last beam are
+    left out: what is seen by them alone lies mostly outside of the sector, and where is not known.
 
     Source: Clark & Bell 2005, section III; the threshold is ours.
     """
@@ -48,6 +50,7 @@ class ThresholdCentroids:
     max_cells: int = 5000
     min_sd_m: float = 0.15
     min_sd_beams: float = 0.5
+    max_border_share: float = 1.0
     max_detections: int = 1000  # the strongest are kept
 
     def __post_init__(self) -> None:
@@ -66,6 +69,8 @@ class ThresholdCentroids:
         for name in ("min_sd_m", "min_sd_beams"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be positive")
+        if not 0.0 < self.max_border_share <= 1.0:
+            raise ValueError(f"max_border_share is {self.max_border_share}; it must be above 0 and at most 1")
         if self.max_detections < 1:
             raise ValueError(f"max_detections is {self.max_detections}; it must be at least 1")
 
@@ -82,6 +87,8 @@ class ThresholdCentroids:
         gap = (math.floor(self.gap_m / ping.cell_m + 1e-9), self.gap_beams)
         found = bright_regions(amplitude, (amplitude > limit) & known, gap)
         kept = (found.cells >= self.min_cells) & (found.cells <= self.max_cells)
+        if self.max_border_share < 1.0:
+            kept &= found.border <= self.max_border_share
         return self._detections(ping, Regions(*(part[kept] for part in found)))
 
     def _limit(self, amplitude: npt.NDArray[np.float32], known: npt.NDArray[np.bool_]) -> float:
@@ -133,7 +140,10 @@ def bright_regions(
     np.minimum.at(low, of, place)
     np.maximum.at(high, of, place)
     np.maximum.at(peak, of, amplitude[row, column])
-    return Regions(centroid, spread, high - low + 1.0, np.bincount(of, minlength=n).astype(float), peak)
+    edge = (column == 0) | (column == bright.shape[1] - 1)
+    border = np.bincount(of[edge], power[edge], n) / total
+    cells = np.bincount(of, minlength=n).astype(float)
+    return Regions(centroid, spread, high - low + 1.0, cells, peak, border)
 
 
 def _labels(bright: npt.NDArray[np.uint8], gap: tuple[int, int]) -> npt.NDArray[np.int32]:

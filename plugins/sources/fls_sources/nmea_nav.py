@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from fls_flow import InputError, NavState, hookimpl
-from fls_sources.nmea_sentences import LONGEST, Report, report, sentence
+from fls_sources.nmea_sentences import LONGEST, Report, report
 
 __all__ = ["Epoch", "NmeaNav"]
 
@@ -239,7 +239,7 @@ def _reports(lines: Iterable[str], where: str) -> Iterator[Report]:
         if not line.strip():
             continue
         try:
-            said = report(sentence(line))
+            said = report(line)
         except ValueError as err:
             bad += 1
             if bad <= MOST_COMPLAINTS:

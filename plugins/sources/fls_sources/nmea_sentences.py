@@ -1,42 +1,31 @@
-"""NMEA 0183 sentences: checksum, fields, and what those of navigation say.
+"""What NMEA 0183 sentences of navigation say; pynmeagps reads them.
 
 Angles come out in radians, speeds in m/s. Unknown sentences and empty fields say nothing.
-
-Source: NMEA 0183 as documented by its users (gpsd, "NMEA Revealed"; maker manuals for PASHR and PRDID).
 """
 
 from __future__ import annotations
 
+import datetime
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
 
-__all__ = ["Report", "Sentence", "checksum", "report", "sentence"]
+from pynmeagps import (
+    NMEAMessage,
+    NMEAMessageError,
+    NMEAParseError,
+    NMEAReader,
+    NMEATypeError,
+    calc_checksum,
+)
+
+__all__ = ["LONGEST", "Report", "report"]
 
 KNOT_MPS = 1852.0 / 3600.0
 LONGEST = 512  # characters; the standard has 82, proprietary sentences have more
-Degrees = tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Sentence:
-    """The address without its talker (`GGA`, `PASHR`), and the fields after it."""
-
-    name: str
-    fields: tuple[str, ...]
-
-    def number(self, place: int) -> float | None:
-        """The field as a finite number; None if it is empty or none."""
-        try:
-            value = float(self.fields[place])
-        except (IndexError, ValueError):
-            return None
-        return value if math.isfinite(value) else None
-
-    def text(self, place: int) -> str:
-        """The field, empty where the sentence is shorter."""
-        return self.fields[place] if place < len(self.fields) else ""
+# of Teledyne RD Instruments, which the library does not know: pitch, roll, heading in degrees
+PRDID = {"RDID": {"pitch": "DE", "roll": "DE", "heading": "DE"}}
 
 
 @dataclass(slots=True)
@@ -59,177 +48,145 @@ class Report:
     altitude_m: float | None = None  # of the transducer over the bottom
 
 
-def checksum(body: str) -> int:
-    """Exclusive or of the characters between `$` and `*`."""
-    total = 0
-    for character in body:
-        total ^= ord(character)
-    return total
+def report(line: str) -> Report:
+    """What the sentence in a line says of the vehicle's motion.
 
-
-def sentence(line: str) -> Sentence:
-    """The sentence in a line.
-
-    Raises ValueError when there is none, or its checksum is wrong or missing.
+    It begins at the last `$`, so that a sentence cut off before it does no harm. Raises ValueError when there
+    is none, its checksum is wrong or missing, or a field is not what the standard says.
     """
     text = line.strip()
     start = text.rfind("$")
     if start < 0 or len(text) > LONGEST:
         raise ValueError("no sentence")
-    body, star, given = text[start + 1 :].partition("*")
+    body, _, given = text[start + 1 :].partition("*")
+    right = calc_checksum(body)
+    if given[:2].upper() != right:  # the library passes over a line without a checksum in silence
+        raise ValueError(f"checksum {given[:2]!r} is wrong; it must be {right}")
     try:
-        right = bool(star) and int(given[:2], 16) == checksum(body)
-    except ValueError:
-        right = False
-    if not right:
-        raise ValueError(f"checksum {given[:2]!r} is wrong; it must be {checksum(body):02X}")
-    address, *fields = body.split(",")
-    name = address if address.startswith("P") else address[2:]
-    return Sentence(name, tuple(fields))
+        message = NMEAReader.parse(f"${body}*{right}", userdefined=PRDID)
+    except (NMEAMessageError, NMEAParseError, NMEATypeError, LookupError) as err:
+        raise ValueError(f"no sentence of the standard: {err}") from err
+    reader = None if message is None else _READERS.get(message.msgID)
+    return Report() if message is None or reader is None else reader(message)
 
 
-def report(one: Sentence) -> Report:
-    """What a sentence says of the vehicle's motion."""
-    reader = _READERS.get(one.name)
-    return Report() if reader is None else reader(one)
+def _gga(said: NMEAMessage) -> Report:
+    place = _place(said) if _number(said, "quality") else (None, None)
+    return Report(time_s=_time(said), latitude_deg=place[0], longitude_deg=place[1])
 
 
-def _gga(one: Sentence) -> Report:
-    fixed = one.number(5)
-    place = _place(one, 1) if fixed else (None, None)
-    return Report(time_s=_time(one.text(0)), latitude_deg=place[0], longitude_deg=place[1])
+def _rmc(said: NMEAMessage) -> Report:
+    date = getattr(said, "date", None)
+    day = (date.year, date.month, date.day) if isinstance(date, datetime.date) else None
+    out = Report(time_s=_time(said), date=day)
+    if _text(said, "status") == "A":
+        out.latitude_deg, out.longitude_deg = _place(said)
+        out.speed_mps, out.course_rad = _number(said, "spd", KNOT_MPS), _angle(said, "cog")
+    return out
 
 
-def _rmc(one: Sentence) -> Report:
-    said = Report(time_s=_time(one.text(0)), date=_short_date(one.text(8)))
-    if one.text(1) == "A":
-        said.latitude_deg, said.longitude_deg = _place(one, 2)
-        said.speed_mps, said.course_rad = _scaled(one.number(6), KNOT_MPS), _angle(one.number(7))
-    return said
-
-
-def _zda(one: Sentence) -> Report:
-    day, month, year = (one.number(place) for place in (1, 2, 3))
+def _zda(said: NMEAMessage) -> Report:
+    day, month, year = (_number(said, name) for name in ("day", "month", "year"))
     if day is None or month is None or year is None:
-        return Report(time_s=_time(one.text(0)))
-    return Report(time_s=_time(one.text(0)), date=(int(year), int(month), int(day)))
+        return Report(time_s=_time(said))
+    return Report(time_s=_time(said), date=(int(year), int(month), int(day)))
 
 
-def _hdt(one: Sentence) -> Report:
-    return Report(heading_rad=_angle(one.number(0)))
+def _vtg(said: NMEAMessage) -> Report:
+    return Report(course_rad=_angle(said, "cogt"), speed_mps=_number(said, "sogn", KNOT_MPS))
 
 
-def _vtg(one: Sentence) -> Report:
-    return Report(course_rad=_angle(one.number(0)), speed_mps=_scaled(one.number(4), KNOT_MPS))
-
-
-def _vbw(one: Sentence) -> Report:
-    if one.text(5) != "A":  # over ground; over water is no help
+def _vbw(said: NMEAMessage) -> Report:
+    if _text(said, "groundspdstatus") != "A":  # over ground; over water is no help
         return Report()
-    return Report(ahead_mps=_scaled(one.number(3), KNOT_MPS), starboard_mps=_scaled(one.number(4), KNOT_MPS))
-
-
-def _rot(one: Sentence) -> Report:
-    rate = one.number(0) if one.text(1) == "A" else None
-    return Report(turn_radps=_scaled(rate, math.pi / 180.0 / 60.0))
-
-
-def _pashr(one: Sentence) -> Report:
-    heading = one.number(1) if one.text(2) == "T" else None
     return Report(
-        time_s=_time(one.text(0)),
-        heading_rad=_angle(heading),
-        roll_rad=_angle(one.number(3)),
-        pitch_rad=_angle(one.number(4)),
+        ahead_mps=_number(said, "longgroundspd", KNOT_MPS),
+        starboard_mps=_number(said, "transgroundspd", KNOT_MPS),
     )
 
 
-def _prdid(one: Sentence) -> Report:
-    pitch, roll, heading = (_angle(one.number(place)) for place in range(3))
-    return Report(pitch_rad=pitch, roll_rad=roll, heading_rad=heading)
+def _rot(said: NMEAMessage) -> Report:
+    rate = _number(said, "rot", math.pi / 180.0 / 60.0)
+    return Report(turn_radps=rate if _text(said, "valid") == "A" else None)
 
 
-def _xdr(one: Sentence) -> Report:
+def _pashr(said: NMEAMessage) -> Report:
+    return Report(
+        time_s=_time(said, "utctime"),
+        heading_rad=_angle(said, "trueHdg") if _text(said, "trueHdgInd") == "T" else None,
+        roll_rad=_angle(said, "roll") if hasattr(said, "trueHdg") else None,
+        pitch_rad=_angle(said, "pitch") if hasattr(said, "trueHdg") else None,
+    )
+
+
+def _prdid(said: NMEAMessage) -> Report:
+    return Report(
+        pitch_rad=_angle(said, "pitch"), roll_rad=_angle(said, "roll"), heading_rad=_angle(said, "heading")
+    )
+
+
+def _xdr(said: NMEAMessage) -> Report:
     """Groups of type, value, unit and name."""
-    said = Report()
-    for start in range(0, len(one.fields) - 3, 4):
-        kind, unit, name = one.text(start), one.text(start + 2), one.text(start + 3).upper()
-        value = one.number(start + 1)
+    out, group = Report(), 1
+    while hasattr(said, f"tdrid_{group:02d}"):
+        kind, unit, name = (_text(said, f"{what}_{group:02d}") for what in ("tdrtype", "dataunit", "tdrid"))
+        value, name = f"data_{group:02d}", name.upper()
         if kind == "A" and unit == "D" and name.startswith(("PTCH", "PITCH")):
-            said.pitch_rad = _angle(value)
+            out.pitch_rad = _angle(said, value)
         elif kind == "A" and unit == "D" and name.startswith("ROLL"):
-            said.roll_rad = _angle(value)
+            out.roll_rad = _angle(said, value)
         elif kind == "D" and unit == "M" and name.startswith("DEPTH"):
-            said.depth_m = value
-    return said
+            out.depth_m = _number(said, value)
+        group += 1
+    return out
 
 
-def _dbt(one: Sentence) -> Report:
-    return Report(altitude_m=one.number(2))
-
-
-def _dpt(one: Sentence) -> Report:
-    return Report(altitude_m=one.number(0))
-
-
-_READERS: MappingProxyType[str, Callable[[Sentence], Report]] = MappingProxyType(
+_READERS: MappingProxyType[str, Callable[[NMEAMessage], Report]] = MappingProxyType(
     {
         "GGA": _gga,
         "RMC": _rmc,
         "ZDA": _zda,
-        "HDT": _hdt,
-        "THS": _hdt,
+        "HDT": lambda said: Report(heading_rad=_angle(said, "headingT")),
+        "THS": lambda said: Report(heading_rad=_angle(said, "headt")),
         "VTG": _vtg,
         "VBW": _vbw,
         "ROT": _rot,
-        "PASHR": _pashr,
-        "PRDID": _prdid,
+        "ASHR": _pashr,
+        "RDID": _prdid,
         "XDR": _xdr,
-        "DBT": _dbt,
-        "DPT": _dpt,
+        "DBT": lambda said: Report(altitude_m=_number(said, "depthm")),
+        "DPT": lambda said: Report(altitude_m=_number(said, "depth")),
     }
 )
 
 
-def _angle(degrees: float | None) -> float | None:
-    return None if degrees is None else math.radians(degrees)
+def _text(said: NMEAMessage, name: str) -> str:
+    """The field, empty where the sentence is shorter."""
+    return str(getattr(said, name, ""))
 
 
-def _scaled(value: float | None, by: float) -> float | None:
-    return None if value is None else value * by
+def _number(said: NMEAMessage, name: str, scale: float = 1.0) -> float | None:
+    """The field as a finite number; None if it is empty."""
+    value = getattr(said, name, None)
+    return scale * value if isinstance(value, int | float) and math.isfinite(value) else None
 
 
-def _time(text: str) -> float | None:
-    """Seconds of the day of hhmmss.ss."""
-    try:
-        hours, minutes, seconds = int(text[:2]), int(text[2:4]), float(text[4:])
-    except ValueError:
+def _angle(said: NMEAMessage, name: str) -> float | None:
+    return _number(said, name, math.pi / 180.0)
+
+
+def _time(said: NMEAMessage, name: str = "time") -> float | None:
+    """Seconds of the day."""
+    at = getattr(said, name, None)
+    if not isinstance(at, datetime.time):
         return None
-    sound = 0 <= hours < 24 and 0 <= minutes < 60 and 0.0 <= seconds < 61.0
-    return 3600.0 * hours + 60.0 * minutes + seconds if sound else None
+    return 3600.0 * at.hour + 60.0 * at.minute + at.second + 1e-6 * at.microsecond
 
 
-def _short_date(text: str) -> tuple[int, int, int] | None:
-    """Of ddmmyy; years from 1980 to 2079."""
-    if len(text) != 6 or not text.isdigit():
-        return None
-    day, month, year = int(text[:2]), int(text[2:4]), int(text[4:])
-    return (year + (1900 if year >= 80 else 2000), month, day)
-
-
-def _place(one: Sentence, place: int) -> tuple[float | None, float | None]:
-    """Latitude and longitude, degrees, of four fields from `place` on."""
-    latitude = _dm(one.number(place), one.text(place + 1), "N", "S", 90.0)
-    longitude = _dm(one.number(place + 2), one.text(place + 3), "E", "W", 180.0)
-    return (latitude, longitude) if latitude is not None and longitude is not None else (None, None)
-
-
-def _dm(value: float | None, side: str, plus: str, minus: str, most: float) -> float | None:
-    """Degrees of (d)ddmm.mm."""
-    if value is None or value < 0.0 or side not in (plus, minus):
-        return None
-    degrees = math.floor(value / 100.0)
-    angle = degrees + (value - 100.0 * degrees) / 60.0
-    if angle > most:
-        return None
-    return angle if side == plus else -angle
+def _place(said: NMEAMessage) -> tuple[float | None, float | None]:
+    """Latitude and longitude, degrees; the library does not bound them."""
+    latitude, longitude = _number(said, "lat"), _number(said, "lon")
+    sides = _text(said, "NS") in ("N", "S") and _text(said, "EW") in ("E", "W")
+    if latitude is None or longitude is None or not sides or abs(latitude) > 90.0 or abs(longitude) > 180.0:
+        return None, None
+    return latitude, longitude

@@ -3,8 +3,9 @@
 Tracks that share gated measurements form a cluster; clusters are independent. A cluster is summed over all
 its joint events by a forward and a backward pass over its tracks. The state between two tracks is the set of
 measurements that are taken, and only those need a bit that a track before and a track after both gate: the
-cost is 2^(measurements shared at one time), not the number of events. A wider cluster falls back to loopy
-belief propagation, so that the time per scan is bounded.
+cost is 2^(measurements shared at one time), not the number of events. A wider cluster is summed without the
+pairs that loopy belief propagation finds negligible, or keeps its probabilities, so that the time per scan is
+bounded.
 """
 
 from __future__ import annotations
@@ -15,17 +16,24 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_flow.kernels import compiled
+from fls_trackers.assignment import most_probable
 from fls_trackers.belief import propagate
 from fls_trackers.events import all_events, plan
 from fls_trackers.gating import Gated
 
-__all__ = ["Association", "associate", "shared_out"]
+__all__ = ["ASSIGNED", "INDEPENDENT", "JOINT", "Association", "associate", "evidence", "shared_out"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-MAX_STEPS = 20_000_000  # of the sums over events, per scan: some 50 ms
+# How measurements are shared out among the tracks that gate them.
+JOINT = 0  # all joint events, each with its probability
+INDEPENDENT = 1  # each track for itself, as if it were alone
+ASSIGNED = 2  # the most probable joint event alone
+
+MAX_STEPS = 3_000_000  # of the sums over events, per scan: some 5 ms
+NEGLIGIBLE = (1e-3, 3e-3, 1e-2, 2e-2)  # probabilities of pairs that a wide cluster is first tried without
 MAX_MESSAGES = 20_000_000  # of belief propagation, per scan: some 200 ms
 
 
@@ -47,20 +55,25 @@ def associate(
     *,
     p_d: float,
     p_g: float,
-    max_shared: int = 12,
+    max_shared: int = 14,
+    sharing: int = JOINT,
 ) -> Association:
     """The probabilities of all pairs, exact unless a cluster shares over `max_shared` measurements at a time.
 
     A joint event gives each track at most one of its measurements and each measurement to at most one track;
     its weight is prod_(t has j) p_d N(y_j; H x_t, S_t) / density_j * prod_(t has none) (1 - p_d p_g).
     `density` (m,) is that of false measurements, per m^2. Tracks of rank 0 come first; those of rank 1 get
-    only the measurements that are more likely not taken (sum of beta at most 1/2), and so on.
+    only the measurements that are more likely not taken (`taken` at most 1/2), and so on.
 
-    Source: Karoui 2015 (20)-(22), (22) with (1 - p_d p_g) for a miss.
+    `sharing` is JOINT, INDEPENDENT (each track's own events alone: PDA) or ASSIGNED (1 for the pairs of the
+    most probable joint event, 0 for the others: global nearest neighbour).
+
+    Source: Karoui 2015 (20)-(22), (22) with (1 - p_d p_g) for a miss; PDA: Bar-Shalom & Li 1995, section
+    3.4.
     """
     factor = p_d / (1.0 - p_d * p_g)
     return Association(
-        *shared_out(gated.start, gated.places, gated.likelihood, density, factor, rank, max_shared)
+        *shared_out(gated.start, gated.places, gated.likelihood, density, factor, rank, max_shared, sharing)
     )
 
 
@@ -73,6 +86,7 @@ def shared_out(
     factor: float,
     rank: IntArray,
     max_shared: int,
+    sharing: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray, int]:
     """The fields of `Association`, in machine code; `factor` is p_d / (1 - p_d p_g)."""
     n, m = rank.size, density.size
@@ -94,12 +108,35 @@ def shared_out(
         for c in range(first.size - 1):
             members = tracks[first[c] : first[c + 1]]
             approximate += _cluster(
-                members, start, places, ratio, live, work, max_shared, budget, beta, beta_none
+                members, start, places, ratio, live, work, max_shared, sharing, budget, beta, beta_none
             )
         for t in range(n):
             for e in range(start[t], start[t + 1] if rank[t] == level else 0):
-                taken[places[e]] += beta[e]
+                left = 1.0 - taken[places[e]] if sharing == INDEPENDENT else 1.0
+                taken[places[e]] += left * beta[e]
     return beta, beta_none, taken, claimed, in_gate, approximate
+
+
+@compiled
+def evidence(
+    start: IntArray,
+    places: IntArray,
+    likelihood: FloatArray,
+    density: FloatArray,
+    factor: float,
+    beta: FloatArray,
+    beta_none: FloatArray,
+) -> FloatArray:
+    """How likely no measurement was against what the tracks (n,) took, for their scores.
+
+    That is beta_none, and where one measurement was assigned for sure, 1 / its ratio.
+    """
+    none = beta_none.copy()
+    for t in range(none.size):
+        for e in range(start[t], start[t + 1]):
+            if beta[e] == 1.0:
+                none[t] = density[places[e]] / (factor * likelihood[e])
+    return none
 
 
 @compiled
@@ -154,6 +191,7 @@ def _cluster(
     live: BoolArray,
     work: IntArray,
     max_shared: int,
+    sharing: int,
     budget: IntArray,
     beta: FloatArray,
     beta_none: FloatArray,
@@ -162,10 +200,14 @@ def _cluster(
 
     `work` (m,) is all -1, and so again afterwards.
     """
-    if members.size == 1:
-        _one_track(members[0], start, ratio, live, beta, beta_none)
+    if sharing == INDEPENDENT or (sharing == JOINT and members.size == 1):
+        for t in members:
+            _one_track(t, start, ratio, live, beta, beta_none)
         return False
     first, pairs, detection, m = _local(members, start, places, live, work)
+    if sharing == ASSIGNED:
+        beta[pairs], beta_none[members] = most_probable(first, detection, ratio[pairs], m)
+        return False
     order, bit, ends, width = plan(first, detection, m, max_shared)
     steps = (pairs.size + members.size) << min(width, 32)
     exact = width <= max_shared and steps <= budget[0]
@@ -173,10 +215,40 @@ def _cluster(
         budget[0] -= steps
         b, none = all_events(order, first, bit, ends, ratio[pairs], width)
     else:
-        b, none = propagate(first, detection, ratio[pairs], m, budget[1:])
+        b, none = _wide(first, detection, ratio[pairs], m, max_shared, budget)
     beta[pairs] = b
     beta_none[members] = none
     return not exact
+
+
+@compiled
+def _wide(
+    first: IntArray, detection: IntArray, ratio: FloatArray, m: int, max_shared: int, budget: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """beta and beta_none of a cluster too wide for the sum over all events.
+
+    Belief propagation tells which pairs hardly matter; if the cluster without them is narrow enough, the
+    others are summed exactly.
+    """
+    b, none = propagate(first, detection, ratio, m, budget[1:])
+    n = first.size - 1
+    for negligible in NEGLIGIBLE:
+        kept, start = np.flatnonzero(b >= negligible), np.zeros(n + 1, np.int64)
+        for t in range(n):
+            start[t + 1] = start[t] + np.count_nonzero(b[first[t] : first[t + 1]] >= negligible)
+        order, bit, ends, width = plan(start, detection[kept], m, max_shared)
+        steps = (kept.size + n) << min(width, 32)
+        if width <= max_shared and steps <= budget[0]:
+            budget[0] -= steps
+            exact, none = all_events(order, start, bit, ends, ratio[kept], width)
+            whole = np.where(b >= negligible, 0.0, b)
+            for t in range(n):
+                rest = 1.0 - whole[first[t] : first[t + 1]].sum()
+                exact[start[t] : start[t + 1]] *= rest
+                none[t] *= rest
+            whole[kept] = exact
+            return whole, none
+    return b, none
 
 
 @compiled

@@ -55,14 +55,19 @@ class ClutterDensity:
         area_m2: float,
     ) -> FloatArray:
         """Densities (m,), per m^2; an `area_m2` of 0: take the sector in which anything was seen so far."""
+        p_fa, least = self.terms(range_m, bearing_rad, area_m2)
+        return cell_density(range_m, p_fa, cell_m, spacing_rad, least)
+
+    def terms(self, range_m: FloatArray, bearing_rad: FloatArray, area_m2: float) -> tuple[float, float]:
+        """The p_fa and the least density with which `cell_density` gives those of `at`."""
         if self.kind == "paper":
-            return np.full(range_m.size, self.p_fa)
+            return 0.0, self.p_fa
         least = FLOOR_PER_M2
         if self.kind == "adaptive":
             area = area_m2 if area_m2 > 0.0 else self._area_seen(range_m, bearing_rad)
             if self._counts and area > 0.0:
                 least = max(least, sum(self._counts) / (len(self._counts) * area))
-        return cell_density(range_m, self.p_fa, cell_m, spacing_rad, least)
+        return self.p_fa, least
 
     def count(self, unclaimed: int) -> None:
         """Note the number of measurements of a ping that lay in no track's gate."""

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_flow import hookimpl
-from fls_trackers.gm_phd import GmPhd
+from fls_trackers.gm_phd import GmPhd, Recursion
 from fls_trackers.phd_cardinality import cardinality_predicted, cardinality_updated
 from fls_trackers.phd_gaussian import Explained, Mixture
 from fls_trackers.phd_sector import Births
@@ -29,11 +29,16 @@ class GmCphd(GmPhd):
     Source: Vo, Vo & Cantoni 2007.
     """
 
+    recursion: Recursion = "phd"
     max_targets: int = 30
     _cardinality: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.recursion != "phd":
+            raise ValueError(
+                f"recursion = {self.recursion!r}: gm-cphd has phd alone, for its number of targets"
+            )
         if not 1 <= self.max_targets <= 200:
             raise ValueError(f"max_targets = {self.max_targets}: must be 1 to 200")
         self._cardinality = np.zeros(self.max_targets + 1)
@@ -42,9 +47,9 @@ class GmCphd(GmPhd):
     def _factors(
         self, mixture: Mixture, births: Births, found: Explained, kappa: float, survived: float
     ) -> tuple[float, FloatArray]:
-        mass = float(mixture.weight.sum()) + births.mass
-        detected = float(((1.0 - found.missed) * mixture.weight).sum()) + self.p_d * births.mass
-        p = cardinality_predicted(self._cardinality, survived, births.mass)
+        mass = float(mixture.weight.sum()) + births.total
+        detected = float(((1.0 - found.missed) * mixture.weight).sum()) + self.p_d * births.total
+        p = cardinality_predicted(self._cardinality, survived, births.total)
         self._cardinality, missed, each = cardinality_updated(p, found.total / kappa, detected, mass)
         return missed, each / kappa
 

@@ -15,8 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
-    "Noise",
+    "FixedNoise",
     "correct",
+    "flat",
+    "means_by_group",
     "measurement_noise",
     "nearest_tracks",
     "sigma_points",
@@ -26,7 +28,7 @@ __all__ = [
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-Noise = Literal["huber", "innovation", "fixed"]
+FixedNoise = Literal["paper", "huber", "fixed"]
 
 KAPPA = 1.0  # 3 - n: all weights positive, so that P stays positive semidefinite
 
@@ -59,34 +61,34 @@ def unscented(
     return mean, np.einsum("i,ina,inb->nab", W, apart, apart)
 
 
-def measurement_noise(innovation_px: FloatArray, floor_px: FloatArray, noise: Noise) -> FloatArray:
-    """Variances (n, 2) of the measurements, px^2, that depend on the innovation nu (n, 2).
+def measurement_noise(innovation_px: FloatArray, floor_px: FloatArray, noise: FixedNoise) -> FloatArray:
+    """Variances (n, 2) of the measurements, px^2, by their innovations nu (n, 2) alone.
 
-    `innovation`: max(|nu|, floor)^2; `huber`: floor max(|nu|, floor); `fixed`: floor^2. The paper gives no
+    `paper`: max(|nu|, floor)^2; `huber`: floor max(|nu|, floor); `fixed`: floor^2. The paper gives no
     formula: nu^2 alone lets a small innovation collapse P, hence the floor. With the square, a measurement
     counts the less the farther off it is, and a track that is off stays so for long; with the first power,
-    far ones pull alike (Huber 1964), and the covariance says what the error is.
+    far ones pull alike (Huber 1964).
     """
     nu = np.maximum(np.abs(innovation_px), floor_px)
     if noise == "fixed":
         return np.broadcast_to(floor_px**2, innovation_px.shape)
-    return nu * (nu if noise == "innovation" else floor_px)
+    return nu * (nu if noise == "paper" else floor_px)
 
 
 def correct(
-    x: FloatArray, P: FloatArray, y_px: FloatArray, cell: FloatArray, floor_px: FloatArray, noise: Noise
+    x: FloatArray, P: FloatArray, y_px: FloatArray, cell: FloatArray, variance_px2: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """States and covariances after one measurement (n, 2) each, in pixels of size `cell` (m, rad).
 
-    H = diag(1 / cell), nu = y - H x, S = H P H^T + R, K = P H^T S^-1, x + K nu, P - K S K^T.
+    H = diag(1 / cell), R = diag(variance), nu = y - H x, S = H P H^T + R, K = P H^T S^-1, x + K nu,
+    P - K S K^T.
 
     Source: Quidu 2010 (8), (9), with H of 2 x 2.
     """
     scale = 1.0 / cell
     nu = y_px - x * scale
     S = P * scale[:, None] * scale
-    r = measurement_noise(nu, floor_px, noise)
-    s11, s12, s22 = S[:, 0, 0] + r[:, 0], S[:, 0, 1], S[:, 1, 1] + r[:, 1]
+    s11, s12, s22 = S[:, 0, 0] + variance_px2[:, 0], S[:, 0, 1], S[:, 1, 1] + variance_px2[:, 1]
     inverse = np.stack([np.stack([s22, -s12], -1), np.stack([-s12, s11], -1)], -2)
     inverse /= (s11 * s22 - s12 * s12)[:, None, None]
     PH = P * scale  # P H^T
@@ -114,3 +116,15 @@ def start_groups(y_m: FloatArray, limit_m: float) -> IntArray:
         group[left[apart <= limit_m**2]] = count
         count += 1
     return group
+
+
+def flat(x: FloatArray) -> FloatArray:
+    """[d cos(delta), d sin(delta)] of polar coordinates (..., 2)."""
+    return np.stack([x[..., 0] * np.cos(x[..., 1]), x[..., 0] * np.sin(x[..., 1])], axis=-1)
+
+
+def means_by_group(y: FloatArray, group: IntArray, groups: int) -> FloatArray:
+    """Means (groups, 2) of the rows of y (m, 2) by group; 0 for a group without any."""
+    number = np.maximum(np.bincount(group, minlength=groups), 1)
+    sums = [np.bincount(group, weights=column, minlength=groups) for column in y.T]
+    return np.stack(sums, axis=-1) / number[:, None]

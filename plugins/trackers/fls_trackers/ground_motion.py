@@ -44,6 +44,17 @@ class SensorMotion:
     normal: FloatArray  # (3,) unit, into the floor
     height_m: float  # distance to the floor, along its normal
 
+    def packed(self) -> FloatArray:
+        """All of it in one array (22,)."""
+        parts = (self.R.ravel(), self.origin_m, self.velocity_mps, self.omega_radps, self.normal)
+        return np.concatenate([*parts, [self.height_m]])
+
+    @classmethod
+    def unpacked(cls, values: FloatArray) -> SensorMotion:
+        """The motion that gave the array (22,)."""
+        R, origin, velocity, omega, normal, height = np.split(values, [9, 12, 15, 18, 21])
+        return cls(R.reshape(3, 3), origin, velocity, omega, normal, float(height[0]))
+
 
 class Located(NamedTuple):
     """Objects in the sensor frame."""

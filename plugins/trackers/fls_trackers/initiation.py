@@ -162,7 +162,8 @@ def by_place(free: BoolArray, range_m: FloatArray, bearing_rad: FloatArray) -> I
     return which[np.argsort(range_m[which], kind="mergesort")]
 
 
+@compiled
 def strongest(which: IntArray, amplitude: FloatArray, n: int) -> IntArray:
     """The `n` of the detections `which` with the largest amplitude; nan counts as the smallest."""
     level = np.where(np.isnan(amplitude[which]), -np.inf, amplitude[which])
-    return which[np.argsort(-level, kind="stable")[:n]]
+    return which[np.argsort(-level, kind="mergesort")[:n]]

@@ -11,10 +11,27 @@ import numpy.typing as npt
 from fls_flow.kernels import compiled
 from fls_trackers.track_bank import MAX_WINDOW, Ledger
 
-__all__ = ["TENTATIVE", "Rules", "count", "judge", "settle", "suspect"]
+__all__ = [
+    "CONFIRMED",
+    "LOST",
+    "TENTATIVE",
+    "Rules",
+    "Shared",
+    "count",
+    "distance",
+    "judge",
+    "largest_sd",
+    "ones",
+    "settle",
+    "suspect",
+]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+Shared = tuple[
+    IntArray, IntArray, FloatArray
+]  # start (n + 1,), places and beta of pairs, as in `Association`
 
 TENTATIVE, CONFIRMED, LOST = 0, 1, 2  # TrackStatus, as the compiler takes them
 HISTORY_BITS = (1 << MAX_WINDOW) - 1
@@ -44,21 +61,24 @@ def judge(
     covariance: FloatArray,
     in_gate: BoolArray,
     beta_none: FloatArray,
+    evidence: FloatArray,
     miss: float,
     only_probable: bool,
     merge_pings: int,
     rules: Rules,
+    shared: Shared,
 ) -> tuple[Ledger, BoolArray]:
     """The ledger (n,) after the update of a ping, and which tracks go on, (n,).
 
     Tracks are counted, then suspected of repeating others (if merge_pings is not 0), then settled. An update
-    is a measurement in the gate; if `only_probable`, one that is also more likely than none.
+    is a measurement in the gate; if `only_probable`, one that is also more likely than none. `evidence` takes
+    the place of beta_none in the score.
     """
     updated = in_gate & (beta_none < 0.5) if only_probable else in_gate
-    rows = count(ledger, updated, beta_none, miss)
+    rows = count(ledger, updated, evidence, miss)
     repeats = np.zeros(rows.size, np.bool_)
     if merge_pings:
-        repeats = suspect(rows, state, covariance, beta_none, merge_pings)
+        repeats = suspect(rows, state, covariance, beta_none, merge_pings, shared)
     return settle(rows, repeats, covariance, rules)
 
 
@@ -98,21 +118,22 @@ def settle(
     for t in range(rows.size):
         row = rows[t]
         if row.status == TENTATIVE:
-            hits = _ones(row.history & ((1 << rules.m1) - 1))
+            hits = ones(row.history & ((1 << rules.m1) - 1))
             if hits >= rules.n1 and row.score >= rules.min_score:
                 row.status = CONFIRMED
             keep[t] &= hits + max(0, rules.m1 - row.span) >= rules.n1
         else:
-            few = _ones(row.history & ((1 << rules.m2) - 1)) < rules.n2
+            few = ones(row.history & ((1 << rules.m2) - 1)) < rules.n2
             keep[t] &= not (few and row.span >= rules.m2)
-        keep[t] &= _largest_sd(covariance[t]) <= rules.max_sd_m
+        keep[t] &= largest_sd(covariance[t]) <= rules.max_sd_m
         if row.status == CONFIRMED and not keep[t]:
             row.status = LOST
     return rows, keep
 
 
 @compiled
-def _ones(bits: int) -> int:
+def ones(bits: int) -> int:
+    """How many bits are set."""
     n = 0
     while bits:
         bits &= bits - 1
@@ -121,30 +142,39 @@ def _ones(bits: int) -> int:
 
 
 @compiled
-def _largest_sd(P: FloatArray) -> float:
+def largest_sd(P: FloatArray) -> float:
+    """sqrt(lambda_max(P_pos)) of a covariance (4, 4)."""
     a, b, c = P[0, 0], P[0, 1], P[1, 1]
     return math.sqrt(0.5 * (a + c) + math.sqrt(0.25 * (a - c) ** 2 + b * b))
 
 
 @compiled
 def suspect(
-    rows: Ledger, state: FloatArray, covariance: FloatArray, beta_none: FloatArray, pings: int
+    rows: Ledger,
+    state: FloatArray,
+    covariance: FloatArray,
+    beta_none: FloatArray,
+    pings: int,
+    shared: Shared,
 ) -> BoolArray:
     """Which tracks repeat an older one, (n,); counts the pings of suspicion in `rows`.
 
     A track is suspected in a ping when an older one is as near as if both followed one object,
     dx^T (P_i + P_j)^-1 dx <= 4 over position and velocity, and both explain about one detection together,
-    (1 - beta_none_i) + (1 - beta_none_j) <= 1.25. Its count goes up while it is suspected of the same track;
-    two detections count down twice as fast, and a ping with none says nothing. It repeats that track once the
-    count reaches `pings` (a quarter of them while it is tentative).
+    (1 - beta_none_i) + (1 - beta_none_j) <= 1.25. When `shared` holds pairs, of tracks that took measurements
+    independently, sum_k beta_ik beta_jk is subtracted: both took the same one. The count goes up while the
+    track is suspected of the same one; two detections count down twice as fast, and a ping with none says
+    nothing. It repeats that track once the count reaches `pings` (a quarter of them while it is tentative).
 
     Objects that cross are neither merged while two echoes are seen, nor as long as their velocities differ.
     """
     repeats = np.zeros(rows.size, np.bool_)
+    status, place, variance = rows["status"].copy(), state[:, 0].copy(), covariance[:, 0, 0].copy()
+    scratch, near_by = np.empty((5, 4)), np.empty(rows.size + 1, np.int64)
     for i in range(rows.size):
         row = rows[i]
-        rival = _rival(i, rows, repeats, state, covariance)
-        explained = 2.0 - beta_none[i] - beta_none[rival]
+        rival = _rival(i, status, place, variance, repeats, state, covariance, scratch, near_by)
+        explained = 2.0 - beta_none[i] - beta_none[rival] - (_both(i, rival, shared) if rival >= 0 else 0.0)
         if rival < 0:
             row.rival_pings = max(0, row.rival_pings - 1)
         elif row.rival != rows[rival].id:
@@ -159,38 +189,65 @@ def suspect(
 
 
 @compiled
-def _rival(i: int, rows: Ledger, repeats: BoolArray, state: FloatArray, covariance: FloatArray) -> int:
-    """The oldest track that track i may repeat; -1: none."""
+def _both(i: int, j: int, shared: Shared) -> float:
+    """The chance that two independent tracks took the same measurement."""
+    start, places, beta = shared
+    a, b, both = start[i], start[j], 0.0
+    while a < start[i + 1] and b < start[j + 1]:
+        if places[a] == places[b]:
+            both += beta[a] * beta[b]
+        step = places[a] - places[b]
+        a += step <= 0
+        b += step >= 0
+    return both
+
+
+@compiled
+def _rival(
+    i: int,
+    status: IntArray,
+    place: FloatArray,
+    variance: FloatArray,
+    repeats: BoolArray,
+    state: FloatArray,
+    covariance: FloatArray,
+    scratch: FloatArray,
+    near_by: IntArray,
+) -> int:
+    """The oldest track that track i may repeat; -1: none. `place` and `variance` (n,) are those along x."""
+    # The cheap test first, and without a branch: the distance along one axis is never more than the whole.
+    k, here, mine = 0, place[i], variance[i]
     for j in range(i):
-        if repeats[j] or rows[j].status < rows[i].status:
+        near_by[k] = j
+        k += (here - place[j]) ** 2 <= MERGE_GATE * (mine + variance[j])
+    for j in near_by[:k]:
+        if repeats[j] or status[j] < status[i]:
             continue
-        # Cheap tests first: the distance along one axis is never more than the whole.
         near = True
-        for a in range(4):
+        for a in range(1, 4):
             reach = MERGE_GATE * (covariance[i, a, a] + covariance[j, a, a])
             near &= (state[i, a] - state[j, a]) ** 2 <= reach
-        if near and _distance(state[i] - state[j], covariance[i] + covariance[j]) <= MERGE_GATE:
-            return j
+        if near and distance(state, covariance, i, j, scratch) <= MERGE_GATE:
+            return int(j)
     return -1
 
 
 @compiled
-def _distance(x: FloatArray, P: FloatArray) -> float:
-    """x^T P^-1 x of a positive definite P, by its Cholesky factor."""
-    n, d2 = x.size, 0.0
-    L, z = np.zeros((n, n)), np.zeros(n)
-    for a in range(n):
+def distance(state: FloatArray, covariance: FloatArray, i: int, j: int, scratch: FloatArray) -> float:
+    """dx^T (P_i + P_j)^-1 dx of tracks i and j, by the Cholesky factor; `scratch` is (5, 4)."""
+    d2 = 0.0
+    for a in range(4):
         for b in range(a + 1):
-            total = P[a, b]
+            total = covariance[i, a, b] + covariance[j, a, b]
             for c in range(b):
-                total -= L[a, c] * L[b, c]
+                total -= scratch[a, c] * scratch[b, c]
             if a == b:
-                L[a, a] = math.sqrt(max(total, 1e-300))
+                scratch[a, a] = math.sqrt(max(total, 1e-300))
             else:
-                L[a, b] = total / L[b, b]
-        z[a] = x[a]
+                scratch[a, b] = total / scratch[b, b]
+        z = state[i, a] - state[j, a]
         for c in range(a):
-            z[a] -= L[a, c] * z[c]
-        z[a] /= L[a, a]
-        d2 += z[a] * z[a]
+            z -= scratch[a, c] * scratch[4, c]
+        scratch[4, a] = z / scratch[a, a]
+        d2 += scratch[4, a] ** 2
     return d2

@@ -10,8 +10,10 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from fls_flow import Detections, NavState, Ping, hookimpl
-from fls_trackers.ground_floor import FloorPlane, beam_points, plane_through
+from fls_flow import AltimeterBeams, Detections, NavState, Ping, hookimpl
+from fls_flow.messages import Vector
+from fls_trackers.ground_floor import FloorPlane, beam_points, plane_through, plane_to
+from fls_trackers.ground_slope import Slopes, slope_of
 from fls_trackers.nav_samples import (
     ALTITUDE,
     ATTITUDE,
@@ -53,7 +55,9 @@ class NavFusion:
     `dead_reckon`: the position is the integral of velocity and attitude from the first sample (a DVL and an
     MRU are enough); else it is the one in the samples, carried on by the velocity where it is late.
     `ahead`: a second altimeter, its `altitude_m` the slant range along a beam `ahead_depression_deg` below
-    the bow; with it the floor slopes along the line of the two, else it is level.
+    the bow; with it the floor slopes along the line of the two. `beams`: those of a DVL, at least three; with
+    them the floor has the median slope of the last `floor_memory_s`, and `ahead` is not needed. With neither,
+    or as long as they find no bottom, it is level.
 
     State: the samples of the last pings.
     """
@@ -61,18 +65,22 @@ class NavFusion:
     max_age_s: float = 0.5
     dead_reckon: bool = False
     ahead_depression_deg: float = 30.0
+    floor_memory_s: float = 2.0
     _samples: _Samples = field(init=False, repr=False)
     _ahead: _Samples = field(init=False, repr=False)
+    _slopes: Slopes = field(init=False, repr=False)
     _missing: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.max_age_s < math.inf:
-            raise ValueError(f"max_age_s is {self.max_age_s}; it must be positive and finite")
+        for name in ("max_age_s", "floor_memory_s"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be positive and finite")
         if not 0.0 < self.ahead_depression_deg < 90.0:
             raise ValueError(
                 f"ahead_depression_deg is {self.ahead_depression_deg}; it must lie between 0 and 90"
             )
         self._samples, self._ahead = _Samples(self.dead_reckon), _Samples()
+        self._slopes = Slopes(self.floor_memory_s)
 
     def __call__(
         self,
@@ -80,10 +88,14 @@ class NavFusion:
         nav: tuple[NavState, ...] = (),
         ahead: tuple[NavState, ...] = (),
         detections: Detections | None = None,
+        beams: tuple[AltimeterBeams, ...] = (),
     ) -> Fused:
         """The ping and its detections with the navigation at the ping's stamp."""
         self._samples.add(nav)
         self._ahead.add(ahead)
+        for one in beams:
+            attitude = self._samples.attitude_at(one.stamp_ns, self.max_age_s)
+            self._slopes.add(one.stamp_ns, slope_of(one, attitude))
         values = self._samples.at(ping.stamp_ns, self.max_age_s)
         sloped = self._ahead.at(ping.stamp_ns, self.max_age_s)
         brought = ping.nav is not None and not self._samples.any
@@ -100,6 +112,7 @@ class NavFusion:
         return {
             "samples": self._samples.snapshot(),
             "ahead": self._ahead.snapshot(),
+            "slopes": self._slopes.snapshot(),
             "missing": self._missing,
         }
 
@@ -107,6 +120,7 @@ class NavFusion:
         """Go on from a snapshot."""
         self._samples.restore(saved["samples"])
         self._ahead.restore(saved["ahead"])
+        self._slopes.restore(saved["slopes"])
         self._missing = bool(saved["missing"])
 
     def _tell(self, ping: Ping, values: FloatArray) -> None:
@@ -126,10 +140,13 @@ class NavFusion:
         self._missing = bool(missing)
 
     def _floor(self, ping: Ping, values: FloatArray, ahead_m: float) -> FloorPlane:
-        """Level below, or through the points below and ahead."""
+        """With the slope of the beams, else through the points below and ahead, else level below."""
+        north, east = self._slopes.at(ping.stamp_ns).tolist()
         altitude = values[ALTITUDE]
         if not np.isfinite(altitude):
             return FloorPlane(ping.seq, ping.stamp_ns)
+        if math.isfinite(north):
+            return FloorPlane(ping.seq, ping.stamp_ns, *plane_to(-north, -east, float(altitude)))
         points = np.array([[0.0, 0.0, altitude]])
         if np.isfinite(ahead_m) and np.isfinite(values[ATTITUDE]).all():
             down = math.radians(self.ahead_depression_deg)
@@ -169,6 +186,11 @@ class _Samples:
         late[-1:] = True  # dead reckoning goes on from the last
         self.stamps_ns, self.rows = self.stamps_ns[late], self.rows[late]
         return values
+
+    def attitude_at(self, stamp_ns: int, max_age_s: float) -> Vector:
+        """Roll, pitch and yaw at an instant; nan where not known."""
+        angles = interpolated(self.stamps_ns, self.rows, stamp_ns, max_age_s)[ATTITUDE]
+        return float(angles[0]), float(angles[1]), float(angles[2])
 
     def snapshot(self) -> dict[str, Any]:
         """Copies."""

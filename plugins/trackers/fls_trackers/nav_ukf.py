@@ -12,9 +12,18 @@ import numpy.typing as npt
 
 from fls_flow import Classes, Detections, Frame, Tracks, TrackStatus, View, hookimpl
 from fls_trackers.ground_bank import GroundBank, PoseSd, afloat_probability, places
-from fls_trackers.ground_filter import Noise, correct, nearest_tracks, start_groups, unscented
+from fls_trackers.ground_filter import (
+    correct,
+    flat,
+    means_by_group,
+    measurement_noise,
+    nearest_tracks,
+    start_groups,
+    unscented,
+)
 from fls_trackers.ground_floor import FloorPlane
 from fls_trackers.ground_motion import SensorMotion, locate, moved_euler, moved_exact, rates, sensor_motion
+from fls_trackers.ground_noise import NoiseEstimate
 
 __all__ = ["NavUkf", "TracksAndClasses"]
 
@@ -22,6 +31,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 Step = Literal["exact", "euler"]
+Noise = Literal["adaptive", "paper", "huber", "fixed"]
 log = logging.getLogger(__name__)
 
 NAMES = ("ground", "water-column")
@@ -45,9 +55,13 @@ class NavUkf:
     the rigid motion between two pings (`exact`), or as in the paper by its rates at the earlier ping
     (`euler`). Each detection goes to the nearest track within `limit_m`, several to one track as their mean;
     far ones start tracks, one for those within `start_limit_m` of each other. Confirmed after `confirm_hits`
-    updates. `noise`: variances of the measurement in pixels, max(innovation, floor)^2 or the `floor` alone.
-    Range cell and beam spacing are the pixels. The process noise is `q_*` per step and what errors of the
-    velocity and of the turn rates make of it.
+    updates. The process noise is `q_*` per step and what errors of the velocity and of the turn rates make
+    of it.
+
+    `noise`: the measurements' variances, in pixels of a range cell and a beam spacing. `adaptive` learns them
+    from what the measurements of all tracks leave unexplained, beginning at `floor_*_px` and staying within
+    `noise_factor` of it, over the last `noise_memory` measurements; single far ones count less. `paper`:
+    max(innovation, floor)^2; `huber`: floor max(innovation, floor); `fixed`: floor^2.
 
     In a ping whose navigation lacks velocity, turn rates or altitude, the state stays and its uncertainty
     grows by `drift_mps` and `drift_dps`. Tracks in `ned` carry the covariance of filter and vehicle pose
@@ -64,19 +78,21 @@ class NavUkf:
 
     frame: Frame = "ned"
     step: Step = "exact"
-    noise: Noise = "huber"
+    noise: Noise = "adaptive"
     limit_m: float = 15.0
     start_limit_m: float = 4.0
     misses: int = 3
     confirm_hits: int = 3
     floor_range_px: float = 20.0
     floor_bearing_px: float = 1.0
+    noise_factor: float = 10.0
+    noise_memory: int = 100
     start_range_px: float = 100.0
     start_bearing_px: float = 3.0
     q_range_m2: float = 0.48e-6  # per step
     q_bearing_rad2: float = 0.024e-6  # per step
     velocity_sd_mps: float = 0.02
-    rate_sd_dps: float = 0.1
+    rate_sd_dps: float = 0.05
     drift_mps: float = 2.0
     drift_dps: float = 5.0
     near_margin_m: float = 1.0
@@ -88,6 +104,7 @@ class NavUkf:
 
     _bank: GroundBank = field(default_factory=GroundBank, init=False, repr=False)
     _before: SensorMotion | None = field(default=None, init=False, repr=False)
+    _noise: NoiseEstimate = field(init=False, repr=False)
     _stamp_ns: int | None = field(default=None, init=False, repr=False)
     _next_id: int = field(default=1, init=False, repr=False)
     _said: set[str] = field(default_factory=set, init=False, repr=False)
@@ -104,8 +121,10 @@ class NavUkf:
             self._require(name, 0.0 <= getattr(self, name) < math.inf, "finite and not negative")
         for name in ("position_sd_m", "heading_sd_deg", "tilt_sd_deg", "altitude_sd_m"):
             self._require(name, 0.0 <= getattr(self, name) < math.inf, "finite and not negative")
-        for name in ("misses", "confirm_hits", "max_tracks"):
+        for name in ("misses", "confirm_hits", "max_tracks", "noise_memory"):
             self._require(name, getattr(self, name) >= 1, "at least 1")
+        self._require("noise_factor", 1.0 <= self.noise_factor < math.inf, "1 or more and finite")
+        self._noise = NoiseEstimate.guess(self._floor_px)
 
     def __call__(self, detections: Detections, floor: FloorPlane | None = None) -> TracksAndClasses:
         """The tracks at the stamp of `detections`, after its update."""
@@ -117,7 +136,7 @@ class NavUkf:
         view = detections.view
         motion = self._motion(view, floor)
         bank = self._predicted(motion, dt_s)
-        member = nearest_tracks(_flat(bank.x), _flat(y), self.limit_m)
+        member = nearest_tracks(flat(bank.x), flat(y), self.limit_m)
         bank = self._updated(bank, y, member, _cell(view), motion)
         placed = motion is not None and bool(np.isfinite(motion.origin_m[:2]).all()) and _heading(view)
         starts = GroundBank()
@@ -137,8 +156,9 @@ class NavUkf:
             **self._bank.snapshot(),
             "stamp_ns": self._stamp_ns,
             "next_id": self._next_id,
+            "noise": self._noise.snapshot(),
             "moves": before is not None,
-            "motion": np.zeros(22) if before is None else _packed(before),
+            "motion": np.zeros(22) if before is None else before.packed(),
         }
 
     def restore(self, saved: dict[str, Any]) -> None:
@@ -146,7 +166,12 @@ class NavUkf:
         self._bank = GroundBank.restored(saved)
         self._stamp_ns = None if saved["stamp_ns"] is None else int(saved["stamp_ns"])
         self._next_id = int(saved["next_id"])
-        self._before = _unpacked(np.array(saved["motion"], float)) if saved["moves"] else None
+        self._noise = NoiseEstimate.restored(saved["noise"])
+        self._before = SensorMotion.unpacked(np.array(saved["motion"], float)) if saved["moves"] else None
+
+    @property
+    def _floor_px(self) -> FloatArray:
+        return np.array([self.floor_range_px, self.floor_bearing_px])
 
     @property
     def _pose_sd(self) -> PoseSd:
@@ -214,10 +239,9 @@ class NavUkf:
         hit = np.flatnonzero(number)
         if not hit.size:
             return bank
-        mean = _means(y[claimed], member[claimed], len(bank))[hit]
-        floor_px = np.array([self.floor_range_px, self.floor_bearing_px])
+        mean = means_by_group(y[claimed], member[claimed], len(bank))[hit]
         x, P = bank.x.copy(), bank.P.copy()
-        x[hit], P[hit] = correct(x[hit], P[hit], mean / cell, cell, floor_px, self.noise)
+        x[hit], P[hit] = self._corrected(x[hit], P[hit], mean / cell, cell)
         hits, misses, near = bank.hits.copy(), bank.misses.copy(), bank.near.copy()
         hits[hit] += 1
         misses[hit] = 0
@@ -227,6 +251,17 @@ class NavUkf:
         for track in bank.id[hit[surfaced]].tolist():
             log.info("track %d is nearer than the floor: an obstacle in the water column", track)
         return replace(bank, x=x, P=P, hits=hits, misses=misses, near=near)
+
+    def _corrected(
+        self, x: FloatArray, P: FloatArray, y_px: FloatArray, cell: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """States and covariances with the noise of `noise`, which learns from it."""
+        floor = self._floor_px
+        if self.noise != "adaptive":
+            return correct(x, P, y_px, cell, measurement_noise(y_px - x / cell, floor, self.noise))
+        limits = ((floor / self.noise_factor) ** 2, (floor * self.noise_factor) ** 2)
+        x, P, self._noise = self._noise.corrected(x, P, y_px, cell, limits, float(self.noise_memory))
+        return x, P
 
     def _start_covariance(self, cell: FloatArray) -> FloatArray:
         return np.diag([(self.start_range_px * cell[0]) ** 2, (self.start_bearing_px * cell[1]) ** 2])
@@ -240,9 +275,9 @@ class NavUkf:
     def _starts(self, y: FloatArray, motion: SensorMotion | None, cell: FloatArray, room: int) -> GroundBank:
         """New tracks at the means of measurements that lie together, the nearest ones first."""
         y = y[np.lexsort((y[:, 1], y[:, 0]))]
-        group = start_groups(_flat(y), self.start_limit_m)
+        group = start_groups(flat(y), self.start_limit_m)
         count = int(group.max()) + 1 if group.size else 0
-        x = _means(y, group, count)[: max(room, 0)]
+        x = means_by_group(y, group, count)[: max(room, 0)]
         starts = GroundBank.new(x, self._start_covariance(cell), self._next_id)
         self._next_id += len(starts)
         return replace(starts, near=self._nearer(x, motion))
@@ -279,7 +314,7 @@ class NavUkf:
         if self.frame == "ned":
             state[:, :2], P[:, :2, :2] = bank.ned_m, bank.ned_cov
             return state, P
-        mean, spread = unscented(bank.x, bank.P, _flat)
+        mean, spread = unscented(bank.x, bank.P, flat)
         state[:, :2], P[:, :2, :2] = mean, spread
         if motion is not None:
             speed = rates(bank.x, locate(bank.x, motion, bank.afloat).m, motion)
@@ -296,18 +331,6 @@ def _classes(bank: GroundBank, detections: Detections) -> Classes:
     return Classes(detections.seq, detections.stamp_ns, bank.id.copy(), NAMES, label, posterior)
 
 
-def _flat(x: FloatArray) -> FloatArray:
-    """[d cos(delta), d sin(delta)] of polar coordinates (..., 2)."""
-    return np.stack([x[..., 0] * np.cos(x[..., 1]), x[..., 0] * np.sin(x[..., 1])], axis=-1)
-
-
-def _means(y: FloatArray, group: IntArray, groups: int) -> FloatArray:
-    """Means (groups, 2) of the rows of y (m, 2) by group; 0 for a group without any."""
-    number = np.maximum(np.bincount(group, minlength=groups), 1)
-    sums = [np.bincount(group, weights=column, minlength=groups) for column in y.T]
-    return np.stack(sums, axis=-1) / number[:, None]
-
-
 def _cell(view: View) -> FloatArray:
     cell, spacing = view.cell_m, view.beam_spacing_rad
     return np.array(
@@ -320,16 +343,6 @@ def _cell(view: View) -> FloatArray:
 
 def _heading(view: View) -> bool:
     return view.nav is not None and bool(np.isfinite(view.nav.attitude_rad[2]))
-
-
-def _packed(motion: SensorMotion) -> FloatArray:
-    parts = (motion.R.ravel(), motion.origin_m, motion.velocity_mps, motion.omega_radps, motion.normal)
-    return np.concatenate([*parts, [motion.height_m]])
-
-
-def _unpacked(values: FloatArray) -> SensorMotion:
-    R, origin, velocity, omega, normal, height = np.split(values, [9, 12, 15, 18, 21])
-    return SensorMotion(R.reshape(3, 3), origin, velocity, omega, normal, float(height[0]))
 
 
 @hookimpl

@@ -46,6 +46,7 @@ class Explained(NamedTuple):
 
     missed: FloatArray  # (n,) 1 - pD of each component
     pairs: Mixture  # updated components; weight pD w q, not normalised, births among them
+    parent: IntArray  # (pairs,) which component it was; -1: a birth
     measurement: IntArray  # (pairs,) which measurement updates them
     total: FloatArray  # (m,) C: sum of the weights of its pairs
 
@@ -112,6 +113,7 @@ def explained(mixture: Mixture, births: Births, z: Measurements, p_d: float, sec
     An extended Kalman update in range and bearing: q = N(z; h(x), S), S = H P H^T + R. A target born at z has
     the position of z with its noise and the births' velocity; as births are even over their region, its C is
     p_d times their density times the part of N(z, R) that lies in the region: no component waits for them.
+    The same holds of targets that were there from the start and have not been seen.
     pD is p_d times the part of a component inside the sector.
 
     Source: Vo & Ma 2006 (30)-(38) and section IV-B; births without prior components as Houssineau &
@@ -120,14 +122,23 @@ def explained(mixture: Mixture, births: Births, z: Measurements, p_d: float, sec
     inside = _inside(mixture.state, mixture.covariance, sector) if mixture.weight.size else np.zeros(0)
     detected = p_d * inside
     noise = (z.range_m, z.bearing_rad, z.range_sd_m**2, z.bearing_sd_rad**2)
-    weight, state, covariance, measurement = _pairs(*mixture, detected, *noise, sector)
+    weight, state, covariance, parent, measurement = _pairs(*mixture, detected, *noise, sector)
     new = _births(
-        z.range_m, z.bearing_rad, z.range_sd_m, z.bearing_sd_rad, births, births.density(sector), p_d, sector
+        z.range_m,
+        z.bearing_rad,
+        z.range_sd_m,
+        z.bearing_sd_rad,
+        births,
+        births.density(sector),
+        births.unseen / sector.area_m2,
+        p_d,
+        sector,
     )
     pairs = Mixture(weight, state, covariance).joined(Mixture(*new))
     of = np.concatenate([measurement, np.arange(len(z))])
+    parent = np.concatenate([parent, np.full(len(z), -1)])
     total = np.bincount(of, pairs.weight, minlength=len(z)).astype(float)
-    return Explained(1.0 - detected, pairs, of, total)
+    return Explained(1.0 - detected, pairs, parent, of, total)
 
 
 @compiled
@@ -141,10 +152,11 @@ def _pairs(
     vr: FloatArray,
     vb: FloatArray,
     sector: Sector,
-) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray]:
     n, m = weight.size, zr.size
     room = _count(state, covariance, detected, zr, zb, vr, vb, sector)
-    w, x, P, of = np.empty(room), np.empty((room, 4)), np.empty((room, 4, 4)), np.empty(room, np.int64)
+    w, x, P = np.empty(room), np.empty((room, 4)), np.empty((room, 4, 4))
+    parent, of = np.empty(room, np.int64), np.empty(room, np.int64)
     k = 0
     for t in range(n):
         if detected[t] <= 0.0:
@@ -157,9 +169,9 @@ def _pairs(
                 innovation = (zr[i] - r, _wrapped(zb[i] - b), s11 + vr[i], s12, s22 + vb[i])
                 _update(state[t], covariance[t], r, c, s, innovation, x[k], P[k])
                 w[k] = detected[t] * weight[t] * math.exp(-0.5 * d2) / (2.0 * math.pi * math.sqrt(det))
-                of[k] = i
+                parent[k], of[k] = t, i
                 k += 1
-    return w, x, P, of
+    return w, x, P, parent, of
 
 
 @compiled
@@ -234,15 +246,17 @@ def _births(
     sb: FloatArray,
     births: Births,
     density: float,
+    unseen: float,
     p_d: float,
     sector: Sector,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     m = zr.size
     weight, state, covariance = np.empty(m), np.empty((m, 4)), np.zeros((m, 4, 4))
     for i in range(m):
-        inside = _between(zr[i], sr[i], births.near_m, births.far_m)
-        inside *= _between(zb[i], sb[i], sector.bearing_min_rad, sector.bearing_max_rad)
-        weight[i] = p_d * density * zr[i] * inside
+        near = density * _between(zr[i], sr[i], births.near_m, births.far_m)
+        near += unseen * _between(zr[i], sr[i], sector.range_min_m, sector.range_max_m)
+        beside = _between(zb[i], sb[i], sector.bearing_min_rad, sector.bearing_max_rad)
+        weight[i] = p_d * zr[i] * near * beside
         c, s = math.cos(zb[i] + sector.heading_rad), math.sin(zb[i] + sector.heading_rad)
         state[i, 0], state[i, 1] = sector.north_m + zr[i] * c, sector.east_m + zr[i] * s
         state[i, 2], state[i, 3] = births.velocity_mps

@@ -1,4 +1,4 @@
-"""The probability hypothesis density as weighted particles: motion, update, births, resampling."""
+"""The probability hypothesis density as weighted particles: motion, update, resampling."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fls_flow.geometry import to_cartesian
 from fls_flow.kernels import compiled
-from fls_trackers.phd_sector import Births, Measurements, Sector
+from fls_trackers.phd_existence import MOST_CERTAIN
+from fls_trackers.phd_sector import Measurements, Sector
 
-__all__ = ["Update", "born", "propagated", "resampled", "updated"]
+__all__ = ["Update", "propagated", "resampled", "updated", "updated_by_label"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 GATE_SD = 6.0  # beyond it a likelihood counts as 0: exp(-18)
-PROPOSAL_SD = 3.0  # where a measurement proposes births
 
 
 class Update(NamedTuple):
@@ -28,78 +27,6 @@ class Update(NamedTuple):
     missed: FloatArray  # (n,) the part of each weight that no measurement explains
     taken: FloatArray  # (m,) probability that the measurement comes from a target, C / (kappa + C)
     mean: FloatArray  # (m, 4) mean state of that target; nan with no particle near
-
-
-def born(
-    n: int, sector: Sector, births: Births, z: Measurements | None, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Particles (k, 4) of new targets and their weights.
-
-    Without `z`, n of them are spread over the births' region with weight mass / n. With `z` the same density
-    b is sampled where it counts: near the measurements, from q = sum_i N(z_i, R_i) / m cut at 3 standard
-    deviations, with weights b / (n q); k counts those that fall into the region.
-
-    Source: Clark & Bell 2005, steps 1 and 5, uniform in area; importance sampling as
-    Ristic et al. 2012, with an unchanged density.
-    """
-    if z is None:
-        return _spread(n, sector, births, rng), np.full(n, births.mass / n)
-    z = _near(z, births)
-    if not len(z) or not n:
-        return np.zeros((0, 4)), np.zeros(0)
-    which = np.arange(n) % len(z)
-    cut = -math.expm1(-0.5 * PROPOSAL_SD**2)
-    radius, angle = np.sqrt(-2.0 * np.log1p(-cut * rng.random(n))), 2.0 * np.pi * rng.random(n)
-    r = z.range_m[which] + z.range_sd_m[which] * radius * np.cos(angle)
-    b = z.bearing_rad[which] + z.bearing_sd_rad[which] * radius * np.sin(angle)
-    velocity = _velocities(n, births, rng)
-    inside = (r >= births.near_m) & (r <= births.far_m)
-    inside &= (b >= sector.bearing_min_rad) & (b <= sector.bearing_max_rad)
-    r, b, velocity = r[inside], b[inside], velocity[inside]
-    share = np.bincount(which, minlength=len(z)) / n
-    q = _proposal(r, b, z.range_m, z.bearing_rad, z.range_sd_m, z.bearing_sd_rad, share / cut)
-    weight = births.density(sector) * r / (n * q)
-    return np.concatenate([sector.pose.to_ned(to_cartesian(r, b)), velocity], axis=1), weight
-
-
-def _near(z: Measurements, births: Births) -> Measurements:
-    """The measurements whose proposals reach into the region of births."""
-    reach = PROPOSAL_SD * z.range_sd_m
-    near = (z.range_m + reach > births.near_m) & (z.range_m - reach < births.far_m)
-    return Measurements(z.range_m[near], z.bearing_rad[near], z.range_sd_m[near], z.bearing_sd_rad[near])
-
-
-def _spread(n: int, sector: Sector, births: Births, rng: np.random.Generator) -> FloatArray:
-    r = np.sqrt(rng.uniform(births.near_m**2, births.far_m**2, n))
-    b = rng.uniform(sector.bearing_min_rad, sector.bearing_max_rad, n)
-    position = sector.pose.to_ned(to_cartesian(r, b))
-    return np.concatenate([position, _velocities(n, births, rng)], axis=1)
-
-
-def _velocities(n: int, births: Births, rng: np.random.Generator) -> FloatArray:
-    return np.array(births.velocity_mps) + births.speed_sd_mps * rng.standard_normal((n, 2))
-
-
-@compiled
-def _proposal(
-    r: FloatArray,
-    b: FloatArray,
-    zr: FloatArray,
-    zb: FloatArray,
-    sr: FloatArray,
-    sb: FloatArray,
-    share: FloatArray,
-) -> FloatArray:
-    """The density of the proposal per (m rad), at the places (n,)."""
-    q = np.zeros(r.size)
-    for i in range(zr.size):
-        scale = share[i] / (2.0 * math.pi * sr[i] * sb[i])
-        for s in range(r.size):
-            u, v = (r[s] - zr[i]) / sr[i], (b[s] - zb[i]) / sb[i]
-            d2 = u * u + v * v
-            if d2 <= PROPOSAL_SD * PROPOSAL_SD * (1.0 + 1e-9):
-                q[s] += scale * math.exp(-0.5 * d2)
-    return q
 
 
 def propagated(
@@ -154,15 +81,41 @@ def updated(
 
     Source: Clark & Bell 2005 (13); (12) with the predicted density in the denominator.
     """
-    return Update(
-        *_updated(state, weight, z.range_m, z.bearing_rad, z.range_sd_m, z.bearing_sd_rad, kappa, p_d, sector)
-    )
+    nobody = np.zeros(0, np.int64)
+    return Update(*_updated(state, weight, nobody, 0, *_as_arrays(z), kappa, p_d, sector))
+
+
+def updated_by_label(
+    state: FloatArray,
+    weight: FloatArray,
+    place: IntArray,
+    labels: int,
+    z: Measurements,
+    kappa: float,
+    p_d: float,
+    sector: Sector,
+) -> Update:
+    """The particles' weights after the measurements `z`, when those of label `place` (n,) are one target.
+
+    As `updated`, with C_i less the part of the particle's own label in the denominator; then each label's
+    weights over 1 - r + their sum, r the label's sum before. Source: see `phd_existence`.
+    """
+    w, missed, taken, mean = _updated(state, weight, place, labels, *_as_arrays(z), kappa, p_d, sector)
+    before, after = np.bincount(place, weight, labels), np.bincount(place, w, labels)
+    norm = (np.maximum(1.0 - before, 1.0 - MOST_CERTAIN) + after)[place]
+    return Update(w / norm, missed / norm, taken, mean)
+
+
+def _as_arrays(z: Measurements) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    return z.range_m, z.bearing_rad, z.range_sd_m, z.bearing_sd_rad
 
 
 @compiled
 def _updated(
     state: FloatArray,
     weight: FloatArray,
+    place: IntArray,
+    labels: int,
     zr: FloatArray,
     zb: FloatArray,
     sr: FloatArray,
@@ -179,36 +132,58 @@ def _updated(
         detected[s] = p * weight[s]
         missed[s] = (1.0 - p) * weight[s]
     w, taken, mean = missed.copy(), np.zeros(m), np.full((m, 4), np.nan)
-    near, part = np.empty(n, np.int64), np.empty(n)
+    near, part, own = np.empty(n, np.int64), np.empty(n), np.zeros(labels)
     for i in range(m):
-        k, total = 0, 0.0
-        reach, scale = GATE_SD * sr[i], 1.0 / (2.0 * math.pi * sr[i] * sb[i])
-        for s in range(n):
-            dr = r[s] - zr[i]
-            if abs(dr) > reach:
-                continue
-            db = _wrapped(b[s] - zb[i])
-            if abs(db) > GATE_SD * sb[i]:
-                continue
-            u, v = dr / sr[i], db / sb[i]
-            near[k] = s
-            part[k] = detected[s] * scale * math.exp(-0.5 * (u * u + v * v))
-            total += part[k]
-            k += 1
+        k, total = _parts(r, b, detected, zr[i], zb[i], sr[i], sb[i], near, part)
         if total > 0.0:
             taken[i] = total / (kappa + total)
             mean[i] = 0.0
+            own[:] = 0.0
+            if labels:
+                for e in range(k):
+                    own[place[near[e]]] += part[e]
             for e in range(k):
-                w[near[e]] += part[e] / (kappa + total)
+                others = total - own[place[near[e]]] if labels else total
+                w[near[e]] += part[e] / (kappa + max(others, 0.0))
                 for a in range(4):
                     mean[i, a] += part[e] / total * state[near[e], a]
     return w, missed, taken, mean
 
 
+@compiled
+def _parts(
+    r: FloatArray,
+    b: FloatArray,
+    detected: FloatArray,
+    zr: float,
+    zb: float,
+    sr: float,
+    sb: float,
+    near: IntArray,
+    part: FloatArray,
+) -> tuple[int, float]:
+    """Writes the particles in the gate of a measurement, and pD g w of each; their number and the sum."""
+    k, total = 0, 0.0
+    reach, scale = GATE_SD * sr, 1.0 / (2.0 * math.pi * sr * sb)
+    for s in range(r.size):
+        dr = r[s] - zr
+        if abs(dr) > reach:
+            continue
+        db = _wrapped(b[s] - zb)
+        if abs(db) > GATE_SD * sb:
+            continue
+        u, v = dr / sr, db / sb
+        near[k] = s
+        part[k] = detected[s] * scale * math.exp(-0.5 * (u * u + v * v))
+        total += part[k]
+        k += 1
+    return k, total
+
+
 def resampled(
-    state: FloatArray, weight: FloatArray, n: int, power: float, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """`n` particles drawn systematically in proportion to w^power, with weights that keep the mass.
+    weight: FloatArray, n: int, power: float, rng: np.random.Generator
+) -> tuple[IntArray, FloatArray]:
+    """`n` particles drawn systematically in proportion to w^power, and weights for them that keep the mass.
 
     Particle s is drawn floor or ceil of n q_s times, q = w^power / sum w^power, and weighs w / q over the
     sum of those times the mass: with a power of 1 every one mass / n. A power below 1 leaves more particles
@@ -219,13 +194,13 @@ def resampled(
     """
     mass = float(weight.sum())
     if not mass > 0.0:
-        return np.zeros((0, 4)), np.zeros(0)
+        return np.zeros(0, np.int64), np.zeros(0)
     flattened = weight if power == 1.0 else weight**power
     drawn = _systematic(flattened, n, float(rng.random()))
     if power == 1.0:
-        return state[drawn], np.full(n, mass / n)
+        return drawn, np.full(n, mass / n)
     share = weight[drawn] / flattened[drawn]
-    return state[drawn], share * (mass / share.sum())
+    return drawn, share * (mass / share.sum())
 
 
 @compiled

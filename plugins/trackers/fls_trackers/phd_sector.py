@@ -16,6 +16,7 @@ from fls_trackers.phd_settings import PhdSettings
 __all__ = ["Births", "Measurements", "Sector", "births_of", "measurements_of", "pose_of", "sector_of"]
 
 FloatArray = npt.NDArray[np.float64]
+LEAST_UNSEEN = 1e-3  # part of the prior below which it is forgotten
 UNKNOWN_CELL_M = 0.25
 UNKNOWN_SPACING_RAD = math.radians(0.5)
 
@@ -57,6 +58,10 @@ class Sector(NamedTuple):
         """Where the sonar is, in the frame of the targets."""
         return Pose(self.north_m, self.east_m, self.heading_rad)
 
+    def seen_from(self, pose: Pose) -> Sector:
+        """The same sector of a sonar that is elsewhere."""
+        return self._replace(north_m=pose.north_m, east_m=pose.east_m, heading_rad=pose.heading_rad)
+
 
 @dataclass(frozen=True, slots=True)
 class Measurements:
@@ -72,20 +77,39 @@ class Measurements:
 
 
 class Births(NamedTuple):
-    """Where targets are born, `mass` of them per ping: uniform in area between two ranges of the sector."""
+    """Where targets are born, `mass` of them per ping: uniform in area between two ranges of the sector.
+
+    And `unseen` that were there from the start, anywhere in the sector, and have never been detected.
+    """
 
     mass: float
     near_m: float
     far_m: float
     velocity_mps: tuple[float, float]  # mean, in the frame of the targets
     speed_sd_mps: float
+    unseen: float = 0.0
 
     def everywhere(self, mass: float, sector: Sector) -> Births:
         """So many births over the whole sector, as before the first ping."""
         return self._replace(mass=mass, near_m=sector.range_min_m, far_m=sector.range_max_m)
 
+    def started(self, views: int, settings: PhdSettings, sector: Sector) -> Births:
+        """These births after so many pings: before the first, the prior; then also what is left of it unseen.
+
+        prior (1 - p_d)^views: filters that begin targets at measurements miss those that are not detected.
+        """
+        if not views:
+            return self.everywhere(settings.prior_targets, sector)
+        left = (1.0 - settings.p_d) ** views
+        return self._replace(unseen=settings.prior_targets * left if left > LEAST_UNSEEN else 0.0)
+
+    @property
+    def total(self) -> float:
+        """Births and unseen targets together."""
+        return self.mass + self.unseen
+
     def density(self, sector: Sector) -> float:
-        """Births per m^2 and ping."""
+        """Births per m^2 and ping, where there are any."""
         return self.mass / (0.5 * sector.width_rad * (self.far_m**2 - self.near_m**2))
 
 
@@ -101,8 +125,8 @@ def pose_of(view: View, settings: PhdSettings) -> Pose | None:
         return None
 
 
-def sector_of(view: View, pose: Pose) -> Sector | None:
-    """The sector from the outer edges of its cells; None of a view that shows nothing."""
+def sector_of(view: View) -> Sector | None:
+    """The sector from the outer edges of its cells, sensor frame; None of a view that shows nothing."""
     if not view.bearing_rad.size or not view.range_max_m > view.range_min_m:
         return None
     spacing = view.beam_spacing_rad
@@ -113,14 +137,11 @@ def sector_of(view: View, pose: Pose) -> Sector | None:
         view.range_max_m + half_cell,
         float(view.bearing_rad.min()) - half_beam,
         float(view.bearing_rad.max()) + half_beam,
-        pose.north_m,
-        pose.east_m,
-        pose.heading_rad,
     )
 
 
-def measurements_of(detections: Detections, settings: PhdSettings) -> Measurements:
-    """The detections inside their view, as measurements.
+def measurements_of(detections: Detections, settings: PhdSettings, sector: Sector | None) -> Measurements:
+    """The detections inside the sector of their view, as measurements.
 
     One from outside of the sector could come from no target that the filter knows, nor from its clutter.
     Raises ValueError for a detection that is not finite.
@@ -133,7 +154,6 @@ def measurements_of(detections: Detections, settings: PhdSettings) -> Measuremen
             f"finite; the first (index {first}) is at {detections.range_m[first]} m, "
             f"{detections.bearing_rad[first]} rad"
         )
-    sector = sector_of(detections.view, Pose())
     if sector is not None:
         inside = (detections.range_m >= sector.range_min_m) & (detections.range_m <= sector.range_max_m)
         inside &= detections.bearing_rad >= sector.bearing_min_rad
@@ -147,9 +167,10 @@ def measurements_of(detections: Detections, settings: PhdSettings) -> Measuremen
 def _noise(detections: Detections, settings: PhdSettings) -> tuple[FloatArray, FloatArray]:
     view, m = detections.view, len(detections)
     cell = max(view.cell_m, UNKNOWN_CELL_M) if view.cell_m > 0.0 else UNKNOWN_CELL_M
-    spacing = view.beam_spacing_rad if view.beam_spacing_rad > 0.0 else UNKNOWN_SPACING_RAD
-    range_sd = _own(detections.covariance[:, 0, 0], cell)
-    bearing_sd = _own(detections.covariance[:, 1, 1], spacing)
+    range_sd, _ = _own(detections.covariance[:, 0, 0], cell)
+    bearing_sd, known = _own(detections.covariance[:, 1, 1], UNKNOWN_SPACING_RAD)
+    if not known and view.beam_spacing_rad > 0.0:
+        bearing_sd, _ = _own(detections.covariance[:, 1, 1], view.beam_spacing_rad)
     if settings.sigma_range_m is not None:
         range_sd = np.full(m, settings.sigma_range_m)
     if settings.sigma_bearing_deg is not None:
@@ -157,9 +178,10 @@ def _noise(detections: Detections, settings: PhdSettings) -> tuple[FloatArray, F
     return range_sd, bearing_sd
 
 
-def _own(variance: FloatArray, otherwise: float) -> FloatArray:
+def _own(variance: FloatArray, otherwise: float) -> tuple[FloatArray, bool]:
+    """Standard deviations, and whether all are the variances' own."""
     known = np.isfinite(variance) & (variance > 0.0)
-    return np.where(known, np.sqrt(np.where(known, variance, 1.0)), otherwise)
+    return np.where(known, np.sqrt(np.where(known, variance, 1.0)), otherwise), bool(known.all())
 
 
 def births_of(view: View, sector: Sector, range_sd_m: float, dt_s: float, settings: PhdSettings) -> Births:

@@ -1,7 +1,7 @@
-"""One scan over all tracks, compiled as a whole: predicted, gated, associated, updated, judged.
+"""One scan over all tracks, compiled as a whole, from measurements to new tracks.
 
-The steps are those of the modules beside; one call instead of six saves more than half of a scan's time when
-the tracks are few.
+The steps are those of the modules beside; one call instead of a dozen saves more than half of a scan's time
+when the tracks are few.
 """
 
 from __future__ import annotations
@@ -11,68 +11,159 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fls_flow import Detections
 from fls_flow.geometry import Pose
-from fls_flow.kernels import compiled
-from fls_trackers.association import shared_out
-from fls_trackers.conversion import noise_of
+from fls_flow.kernels import compiled, frozen
+from fls_trackers.association import ASSIGNED, INDEPENDENT, evidence, shared_out
+from fls_trackers.clutter import cell_density
+from fls_trackers.conversion import measured, noise_of
 from fls_trackers.gating import pairs_in_gates
+from fls_trackers.initiation import by_place, strongest
 from fls_trackers.kalman import predict, update
 from fls_trackers.life import TENTATIVE, Rules, judge
 from fls_trackers.settings import Grain, Settings
-from fls_trackers.track_bank import Ledger, TrackBank
+from fls_trackers.track_bank import Ledger, TrackBank, begun, renewed
 
-__all__ = ["Scanned", "scan"]
+__all__ = ["Method", "Scanned", "Starts", "scan"]
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+
+LOST = 2  # TrackStatus, as the compiler takes it
+
+
+class Method(NamedTuple):
+    """How measurements are shared out: see `association`."""
+
+    sharing: int
+    max_shared: int
+
+
+class Starts(NamedTuple):
+    """Which tracks begin in a scan, at detections that more likely are no track's."""
+
+    room: int  # at most so many; 0 leaves starting to the caller
+    next_id: int
+    speed_sd_mps: float
 
 
 class Scanned(NamedTuple):
-    """The tracks after a scan, and what is left over of its measurements."""
+    """The tracks after a scan."""
 
-    bank: TrackBank
-    keep: BoolArray  # (n,) which tracks go on
-    taken: FloatArray  # (m,) that the measurement is some track's
-    claimed: BoolArray  # (m,) whether it lies in the gate of a track that is not tentative
+    bank: TrackBank  # those that go on, are lost, or begin
+    lost: int  # how many are lost
+    begun: int
+    cut: bool  # whether more would have begun
     approximate: int  # clusters that fell back to belief propagation
+    finite: bool  # whether the detections were; if not, nothing here means anything
+    unclaimed: BoolArray  # (m,) detections outside the gates of all tracks but tentative ones, and not barred
 
 
 def scan(
     bank: TrackBank,
-    y: FloatArray,
-    density: FloatArray,
+    detections: Detections,
+    barred: BoolArray | None,
     dt_s: float,
     grain: Grain,
     pose: Pose,
     settings: Settings,
     rules: Rules,
-    max_shared: int,
+    method: Method,
+    clutter: tuple[float, float],
+    starts: Starts,
 ) -> Scanned:
-    """What a ping with the measurements `y` (m, 2), m, makes of the tracks, `dt_s` after the last one.
+    """What a ping makes of the tracks, `dt_s` after the last one.
 
-    `density` (m,) is that of false measurements, per m^2. Confirmed tracks take first.
+    `barred` (m,) are detections that start nothing; `clutter` are p_fa and the least density of false
+    measurements. Confirmed tracks take first.
     """
     s = settings
     p_g = s.gate_probability
-    state, covariance, ledger, keep, taken, claimed, approximate = _scan(
+    m = len(detections)
+    unclaimed = np.zeros(m, bool)
+    x, P, rows, lost, born, cut, approximate, finite = _scan(
         bank.state,
         bank.covariance,
         bank.ledger,
-        y,
-        density,
+        _row(detections.range_m),
+        _row(detections.bearing_rad),
+        _row(detections.amplitude),
+        np.zeros(m, bool) if barred is None else barred,
+        unclaimed,
         (dt_s, s.sigma_v_mps2),
         (grain.range_sd_m, grain.bearing_sd_rad, pose.north_m, pose.east_m, pose.heading_rad),
+        (*clutter, grain.cell_m, grain.spacing_rad),
         (s.gamma, s.p_d / (1.0 - s.p_d * p_g), 1.0 - s.p_d * p_g),
-        max_shared,
-        s.hit == "probable",
-        s.merge_pings,
-        rules,
+        (method.sharing, method.max_shared, s.merge_pings, s.hit == "probable"),
+        (rules.m1, rules.n1, rules.min_score, rules.m2, rules.n2, rules.max_sd_m),
+        (starts.room, starts.next_id, starts.speed_sd_mps),
     )
-    return Scanned(TrackBank(state, covariance, ledger), keep, taken, claimed, approximate)
+    return Scanned(TrackBank(x, P, rows), lost, born, cut, approximate, finite, unclaimed)
+
+
+def _row(values: FloatArray) -> FloatArray:
+    """As the kernel takes it: a message's arrays are read-only, but may be strided."""
+    return values if values.flags.c_contiguous else frozen(values)
 
 
 @compiled
 def _scan(
+    state: FloatArray,
+    covariance: FloatArray,
+    ledger: Ledger,
+    range_m: FloatArray,
+    bearing_rad: FloatArray,
+    amplitude: FloatArray,
+    barred: BoolArray,
+    unclaimed: BoolArray,
+    motion: tuple[float, float],
+    sensor: tuple[float, float, float, float, float],
+    clutter: tuple[float, float, float, float],
+    weights: tuple[float, float, float],
+    choices: tuple[int, int, int, bool],
+    rules: tuple[int, int, float, int, int, float],
+    starts: tuple[int, int, float],
+) -> tuple[FloatArray, FloatArray, Ledger, int, int, bool, int, bool]:
+    y, R0, finite = measured(range_m, bearing_rad, sensor)
+    if not finite:
+        return state, covariance, ledger, 0, 0, False, 0, False
+    density = cell_density(range_m, clutter[0], clutter[2], clutter[3], clutter[1])
+    x, P, rows, keep, taken, claimed, approximate = _followed(
+        state, covariance, ledger, y, density, motion, sensor, weights, choices, rules
+    )
+    lost = 0
+    for t in range(rows.size):
+        lost += rows[t].status == LOST
+        keep[t] |= rows[t].status == LOST
+    free = np.empty(taken.size, np.bool_)
+    for j in range(taken.size):
+        unclaimed[j] = not (claimed[j] or barred[j])
+        free[j] = taken[j] <= 0.5 and not barred[j] and starts[0] > 0
+    which, cut = _chosen(free, range_m, bearing_rad, amplitude, starts[0] - (keep.sum() - lost))
+    new = np.zeros(which.size, ledger.dtype)
+    new_x, new_P = begun(y, R0, which, starts[2], starts[2], TENTATIVE, new)
+    for k in range(which.size):
+        new[k].id = starts[1] + k
+    x, P, rows = renewed(x, P, rows, keep, new_x, new_P, new)
+    return x, P, rows, lost, which.size, cut, approximate, True
+
+
+@compiled
+def _chosen(
+    free: BoolArray, range_m: FloatArray, bearing_rad: FloatArray, amplitude: FloatArray, room: int
+) -> tuple[IntArray, bool]:
+    """Where tracks begin, by place, and whether there was no room for all."""
+    count = free.sum()
+    if count <= room:
+        return by_place(free, range_m, bearing_rad), False
+    best = np.zeros(free.size, np.bool_)
+    best[strongest(np.flatnonzero(free), amplitude, max(room, 0))] = True
+    return by_place(best, range_m, bearing_rad), count > 0
+
+
+@compiled
+def _followed(
     state: FloatArray,
     covariance: FloatArray,
     ledger: Ledger,
@@ -81,12 +172,11 @@ def _scan(
     motion: tuple[float, float],
     sensor: tuple[float, float, float, float, float],
     weights: tuple[float, float, float],
-    max_shared: int,
-    only_probable: bool,
-    merge_pings: int,
-    rules: Rules,
+    choices: tuple[int, int, int, bool],
+    rules: tuple[int, int, float, int, int, float],
 ) -> tuple[FloatArray, FloatArray, Ledger, BoolArray, FloatArray, BoolArray, int]:
     gamma, factor, miss = weights
+    sharing, max_shared, merge_pings, only_probable = choices
     x, P = (state, covariance) if motion[0] == 0.0 else predict(state, covariance, motion[0], motion[1])
     R = noise_of(x, sensor[0], sensor[1], sensor[2], sensor[3], sensor[4])
     start, places, likelihood = pairs_in_gates(x, P, R, y, gamma)
@@ -94,8 +184,14 @@ def _scan(
     for t in range(ledger.size):
         rank[t] = ledger[t].status == TENTATIVE
     beta, none, taken, claimed, in_gate, approximate = shared_out(
-        start, places, likelihood, density, factor, rank, max_shared
+        start, places, likelihood, density, factor, rank, max_shared, sharing
     )
     x, P = update(x, P, R, y, start, places, beta, none)
-    rows, keep = judge(ledger, x, P, in_gate, none, miss, only_probable, merge_pings, rules)
+    score = none
+    if sharing == ASSIGNED:
+        score = evidence(start, places, likelihood, density, factor, beta, none)
+    shared = (start, places, beta) if sharing == INDEPENDENT else (np.zeros_like(start), places, beta)
+    rows, keep = judge(
+        ledger, x, P, in_gate, none, score, miss, only_probable, merge_pings, Rules(*rules), shared
+    )
     return x, P, rows, keep, taken, claimed, approximate

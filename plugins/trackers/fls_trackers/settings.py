@@ -1,4 +1,4 @@
-"""The parameters of the JPDA tracker, as its presets and its user give them."""
+"""The parameters of the multi-target trackers, as their presets and user give them."""
 
 from __future__ import annotations
 
@@ -12,10 +12,22 @@ from fls_flow import View
 from fls_trackers.clutter import Clutter
 from fls_trackers.track_bank import MAX_WINDOW
 
-__all__ = ["PAPER", "RECOMMENDED", "Grain", "Settings", "grain_of", "settings_of"]
+__all__ = [
+    "PAPER",
+    "POINTS",
+    "RECOMMENDED",
+    "Grain",
+    "Hit",
+    "Initiation",
+    "Preset",
+    "Settings",
+    "grain_of",
+    "settings_of",
+]
 
 Initiation = Literal["box", "gate"]
 Hit = Literal["gated", "probable"]
+Preset = Literal["recommended", "points", "paper"]
 
 UNKNOWN_CELL_M = 0.05  # of a view that does not tell
 UNKNOWN_SPACING_RAD = math.radians(1.5)
@@ -93,6 +105,7 @@ def _check_ranges(s: Settings) -> None:
 
 
 RECOMMENDED = Settings()
+POINTS = Settings(n1=5, speed_sd_mps=0.3, centroid_sd_m=0.0)
 PAPER = Settings(
     sigma_v_mps2=1e-3,
     p_g=1.0,
@@ -109,8 +122,9 @@ PAPER = Settings(
 )
 
 
-PRESETS: Mapping[str, Settings] = MappingProxyType({"recommended": RECOMMENDED, "paper": PAPER})
-START_WINDOW = MappingProxyType({"box": (PAPER.m1, PAPER.n1), "gate": (RECOMMENDED.m1, RECOMMENDED.n1)})
+PRESETS: Mapping[str, Settings] = MappingProxyType(
+    {"recommended": RECOMMENDED, "points": POINTS, "paper": PAPER}
+)
 
 
 def settings_of(preset: str, given: Mapping[str, Any]) -> Settings:
@@ -121,8 +135,10 @@ def settings_of(preset: str, given: Mapping[str, Any]) -> Settings:
     if preset not in PRESETS:
         raise ValueError(f"preset = {preset!r}: must be one of {', '.join(PRESETS)}")
     base = PRESETS[preset]
-    m1, n1 = START_WINDOW.get(given.get("initiation", base.initiation), (base.m1, base.n1))
-    return replace(base, **{"m1": m1, "n1": n1, **given})
+    usual = base
+    if given.get("initiation", base.initiation) != base.initiation:
+        usual = PAPER if given["initiation"] == "box" else RECOMMENDED
+    return replace(base, **{"m1": usual.m1, "n1": usual.n1, **given})
 
 
 @dataclass(frozen=True, slots=True)

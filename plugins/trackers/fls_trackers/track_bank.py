@@ -12,7 +12,7 @@ from fls_flow import Tracks, TrackStatus
 from fls_flow.kernels import compiled
 from fls_flow.messages import Frame
 
-__all__ = ["LEDGER", "MAX_WINDOW", "TrackBank", "new_tracks"]
+__all__ = ["LEDGER", "MAX_WINDOW", "TrackBank", "begun", "new_tracks", "renewed"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -72,7 +72,7 @@ class TrackBank:
         """Those of these tracks that `keep` (n,) selects, then the younger ones of `other`."""
         mine, theirs = self, other
         return TrackBank(
-            *_renewed(
+            *renewed(
                 mine.state,
                 mine.covariance,
                 mine.ledger,
@@ -126,12 +126,12 @@ def new_tracks(
     """
     chosen = np.arange(position.shape[0]) if which is None else which
     ledger = np.zeros(chosen.size, LEDGER)
-    state, covariance = _begun(position, noise, chosen, speed_sd_mps[0], speed_sd_mps[1], status, ledger)
+    state, covariance = begun(position, noise, chosen, speed_sd_mps[0], speed_sd_mps[1], status, ledger)
     return TrackBank(state, covariance, ledger)
 
 
 @compiled
-def _begun(
+def begun(
     position: FloatArray,
     noise: FloatArray,
     chosen: IntArray,
@@ -140,10 +140,14 @@ def _begun(
     status: int,
     ledger: Ledger,
 ) -> tuple[FloatArray, FloatArray]:
+    """States and covariances of `new_tracks`, in machine code; fills their `ledger` (k,), all 0 before."""
     n = chosen.size
     state, covariance = np.zeros((n, 4)), np.zeros((n, 4, 4))
     for t in range(n):
-        state[t, :2], covariance[t, :2, :2] = position[chosen[t]], noise[chosen[t]]
+        for a in range(2):
+            state[t, a] = position[chosen[t], a]
+            for b in range(2):
+                covariance[t, a, b] = noise[chosen[t], a, b]
         covariance[t, 2, 2], covariance[t, 3, 3] = sd_x * sd_x, sd_y * sd_y
         row = ledger[t]
         row.status = status
@@ -152,7 +156,7 @@ def _begun(
 
 
 @compiled
-def _renewed(
+def renewed(
     state: FloatArray,
     covariance: FloatArray,
     ledger: Ledger,
@@ -161,6 +165,7 @@ def _renewed(
     more_covariance: FloatArray,
     more_ledger: Ledger,
 ) -> tuple[FloatArray, FloatArray, Ledger]:
+    """The arrays of `TrackBank.renewed`, in machine code."""
     k, n = 0, more_ledger.size
     for t in range(keep.size):
         k += keep[t]
@@ -169,8 +174,19 @@ def _renewed(
     i = 0
     for t in range(keep.size):
         if keep[t]:
-            x[i], P[i], rows[i] = state[t], covariance[t], ledger[t]
+            _put(x, P, i, state, covariance, t)
+            rows[i] = ledger[t]
             i += 1
     for t in range(n):
-        x[k + t], P[k + t], rows[k + t] = more_state[t], more_covariance[t], more_ledger[t]
+        _put(x, P, k + t, more_state, more_covariance, t)
+        rows[k + t] = more_ledger[t]
     return x, P, rows
+
+
+@compiled
+def _put(x: FloatArray, P: FloatArray, i: int, state: FloatArray, covariance: FloatArray, t: int) -> None:
+    """Row i of x and P is row t of the others; element by element, as slices cost more than their content."""
+    for a in range(4):
+        x[i, a] = state[t, a]
+        for b in range(4):
+            P[i, a, b] = covariance[t, a, b]

@@ -1,0 +1,100 @@
+"""How long one track holds a diver: three divers for 1,200 pings, among animals, in clutter.
+
+    python -m benchmarks.diver_tracks [--use tracker=nnkf] [--clutter k]
+
+For each diver: the share of its pings after the warm-up in which a confirmed track is within 2.5 m (its own
+bubbles pull the track behind it), the longest run of pings on one track with gaps of at most ten pings, and
+how many tracks followed it. Beside it, confirmed tracks that follow nobody, per ping.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from fls_flow import Tracks, TrackStatus, Truth
+from fls_flow.testing import run_graph
+
+GRAPH = "diver_training"
+GATE_M, WARM_UP, MOST_GAP = 2.5, 40, 10
+
+
+def followed(tracks: list[Tracks], truths: list[Truth], target: int) -> list[int]:
+    """The confirmed track on a target, per ping in which it is there; -1 for none.
+
+    A track that was on it stays on it as long as it is within the gate; else the nearest one is (CLEAR MOT).
+    """
+    found: list[int] = []
+    for track, truth in zip(tracks[WARM_UP:], truths[WARM_UP:], strict=True):
+        at = np.flatnonzero(truth.target_id == target)
+        if not at.size:
+            continue
+        sure = track.select(track.status == TrackStatus.CONFIRMED)
+        apart = np.hypot(*(sure.state[:, :2] - truth.state[at[0], :2]).T)
+        near = apart.size > 0 and apart.min() <= GATE_M
+        before = np.flatnonzero(sure.id == found[-1]) if found else np.zeros(0, int)
+        if before.size and apart[before[0]] <= GATE_M:
+            found.append(found[-1])
+        else:
+            found.append(int(sure.id[apart.argmin()]) if near else -1)
+    return found
+
+
+def longest(found: list[int]) -> int:
+    """The longest stretch of pings held by one track, gaps of `MOST_GAP` pings allowed."""
+    best = 0
+    for one in set(found) - {-1}:
+        at = np.flatnonzero(np.array(found) == one)
+        cuts = np.flatnonzero(np.diff(at) > MOST_GAP + 1)
+        starts, ends = at[np.r_[0, cuts + 1]], at[np.r_[cuts, at.size - 1]]
+        best = max(best, int((ends - starts + 1).max()))
+    return best
+
+
+def strays(tracks: list[Tracks], truths: list[Truth]) -> float:
+    """Confirmed tracks farther than 5 m from every target, per ping."""
+    count = 0
+    for track, truth in zip(tracks[WARM_UP:], truths[WARM_UP:], strict=True):
+        sure = track.select(track.status == TrackStatus.CONFIRMED).state[:, :2]
+        apart = np.linalg.norm(sure[:, None] - truth.state[None, :, :2], axis=-1)
+        count += int((apart.min(axis=1, initial=np.inf) > 5.0).sum())
+    return count / (len(tracks) - WARM_UP)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--first", type=int, default=2001, help="seed")
+    parser.add_argument("--pings", type=int, default=1200)
+    parser.add_argument("--clutter", default="rayleigh", choices=("rayleigh", "k", "measured"))
+    parser.add_argument("--use", action="append", default=[], help="NODE=KIND")
+    parser.add_argument("--set", action="append", default=[], help="NODE.PARAM=VALUE")
+    options = parser.parse_args()
+    print(f"{'seed':>5} {'diver':12} {'pings':>6} {'held':>6} {'longest':>8} {'tracks':>7}   strays/ping")
+    for seed in range(options.first, options.first + options.seeds):
+        given = [f"sonar.seed={seed}", f"sonar.pings={options.pings}", f"sonar.clutter={options.clutter}"]
+        given += ["sonar.stay_s=100000", "sonar.name_circuits=true", *options.set]
+        with TemporaryDirectory() as out:
+            seen = run_graph(
+                GRAPH, collect=("tracker.tracks", "sonar.truth"), set_=given, use=options.use, out=Path(out)
+            )
+        tracks, truths = seen["tracker.tracks"], seen["sonar.truth"]
+        away = strays(tracks, truths)  # type: ignore[arg-type]  # they are what the ports give
+        for target, name in zip(truths[0].target_id, truths[0].class_name, strict=True):  # type: ignore[attr-defined]  # a Truth
+            if name.startswith("diver"):
+                found = followed(tracks, truths, int(target))  # type: ignore[arg-type]  # as above
+                held = np.mean(np.array(found) >= 0)
+                print(
+                    f"{seed:5d} {name[6:]:12} {len(found):6d} {held:6.3f} {longest(found):8d} "
+                    f"{len(set(found) - {-1}):7d}   {away:.3f}"
+                )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""What tracks have been taken for so far: evidence per class, kept between the pings that describe them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fls_flow import Classes, Features, Tracks
+from fls_flow.discriminants import decide, posterior
+
+__all__ = ["Costs", "TrackLabels"]
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+def _none() -> IntArray:
+    return np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What it costs to miss the positive class, and to call another class positive.
+
+    Raises ValueError for a class that is not known and for costs that are not positive.
+    """
+
+    classes: tuple[str, ...]
+    positive: str
+    miss_cost: float
+    false_alarm_cost: float
+
+    def __post_init__(self) -> None:
+        if self.positive not in self.classes:
+            raise ValueError(f"positive is '{self.positive}'; the classes are {', '.join(self.classes)}")
+        for name in ("miss_cost", "false_alarm_cost"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be positive")
+
+    def label(self, probability: FloatArray) -> IntArray:
+        """(n,) what to take each row of probabilities (n, c) for."""
+        positive = self.classes.index(self.positive)
+        return decide(probability, positive, self.miss_cost, self.false_alarm_cost)
+
+
+@dataclass
+class TrackLabels:
+    """Log evidence of each class for each track that has been described.
+
+    New evidence e joins the old E as e + memory E.
+    """
+
+    classes: tuple[str, ...]
+    log_prior: FloatArray  # (c,)
+    memory: float
+    hold_pings: int
+    _firing: int = field(default=0, init=False, repr=False)
+    _id: IntArray = field(default_factory=_none, init=False, repr=False)  # increasing
+    _last: IntArray = field(default_factory=_none, init=False, repr=False)  # firing of the newest evidence
+    _evidence: FloatArray = field(init=False, repr=False)  # (n, c)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.memory <= 1.0:
+            raise ValueError(f"memory is {self.memory}; it lies between 0 and 1")
+        if self.hold_pings < 1:
+            raise ValueError(f"hold_pings is {self.hold_pings}; it must be at least 1")
+        self._evidence = np.zeros((0, len(self.classes)))
+
+    def step(
+        self,
+        features: Features,
+        track_id: IntArray,
+        evidence: FloatArray,
+        tracks: Tracks | None,
+        costs: Costs,
+    ) -> Classes:
+        """The classes of one ping, after the evidence (n, c) of the tracks (n,) that it describes."""
+        self._firing += 1
+        if track_id.size:
+            self._join(track_id, evidence)
+        if tracks is None:
+            self._keep(self._firing - self._last < self.hold_pings)
+        else:
+            self._keep(np.isin(self._id, tracks.id))
+        probability = posterior(self._evidence + self.log_prior)
+        return Classes(
+            features.seq,
+            features.stamp_ns,
+            self._id.copy(),
+            self.classes,
+            costs.label(probability),
+            probability,
+        )
+
+    def _join(self, track_id: IntArray, evidence: FloatArray) -> None:
+        track_id, first = np.unique(track_id, return_index=True)
+        every = np.union1d(self._id, track_id)
+        last, total = np.zeros(every.size, np.int64), np.zeros((every.size, len(self.classes)))
+        old, new = np.searchsorted(every, self._id), np.searchsorted(every, track_id)
+        last[old], total[old] = self._last, self._evidence
+        total[new] = evidence[first] + self.memory * total[new]
+        last[new] = self._firing
+        self._id, self._last, self._evidence = every, last, total
+
+    def _keep(self, which: BoolArray) -> None:
+        self._id, self._last = self._id[which], self._last[which]
+        self._evidence = self._evidence[which]
+
+    def snapshot(self) -> dict[str, Any]:
+        """The evidence so far."""
+        return {
+            "firing": self._firing,
+            "id": self._id.copy(),
+            "last": self._last.copy(),
+            "evidence": self._evidence.copy(),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go on from a snapshot."""
+        self._firing = int(snapshot["firing"])
+        self._id, self._last = np.array(snapshot["id"]), np.array(snapshot["last"])
+        self._evidence = np.array(snapshot["evidence"])

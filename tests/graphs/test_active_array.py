@@ -1,0 +1,89 @@
+"""The active-array graphs: targets are tracked, benchmarks run, the same bits in every order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fls_flow import Tracks, TrackStatus, Truth, wire
+from fls_flow import graph as graphs
+from fls_flow.runtime import Options, Run
+from fls_flow.testing import run_graph
+
+NEAR = [
+    "scene.range_max_m=140",
+    "scene.target_min_m=80",
+    "scene.target_max_m=110",
+    "scene.speed_max_mps=0.5",
+    "beams.range_min_m=40",
+    "beams.range_max_m=138",
+]
+Play = Callable[..., tuple[list[Tracks], list[Truth]]]
+
+
+@pytest.fixture
+def play(tmp_path: Path) -> Play:
+    def run(graph: str, *settings: str) -> tuple[list[Tracks], list[Truth]]:
+        ports = ("tracker.tracks", "scene.truth")
+        seen: dict[str, Any] = run_graph(graph, collect=ports, set_=[*NEAR, *settings], out=tmp_path)
+        return seen["tracker.tracks"], seen["scene.truth"]
+
+    return run
+
+
+def followed(tracks: list[Tracks], truth: list[Truth], gate_m: float = 10.0) -> npt.NDArray[np.bool_]:
+    """In which pings a confirmed track lies within the gate of the only target."""
+    hit = []
+    for one, true in zip(tracks, truth, strict=True):
+        near = one.select(one.status == TrackStatus.CONFIRMED).state[:, :2] - true.state[0, :2]
+        hit.append(bool((np.hypot(near[:, 0], near[:, 1]) < gate_m).any()))
+    return np.array(hit)
+
+
+def strangers(tracks: list[Tracks], truth: list[Truth]) -> int:
+    """Confirmed tracks that are in most of their pings at another range than the target."""
+    seen: dict[int, list[bool]] = {}
+    for one, true in zip(tracks, truth, strict=True):
+        sure = one.select(one.status == TrackStatus.CONFIRMED)
+        off = np.abs(np.hypot(*sure.state[:, :2].T) - np.hypot(*true.state[0, :2]))
+        for i, away in zip(sure.id.tolist(), off > 2.0, strict=True):
+            seen.setdefault(i, []).append(bool(away))
+    return sum(np.mean(one) > 0.5 for one in seen.values())
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_blobs_at_13_db_are_one_track(play: Play, seed: int):
+    tracks, truth = play("active_array", "scene.pings=40", "scene.scr_db=13", f"scene.seed={seed}")
+    assert followed(tracks, truth)[15:].mean() > 0.9
+    assert strangers(tracks, truth) < 2
+
+
+def test_integration_at_7_db_finds_what_blobs_do_not(play: Play):
+    settings = ("scene.pings=45", "scene.scr_db=7", "scene.seed=13")
+    tracks, truth = play("active_array_tbd", *settings)
+    assert followed(tracks, truth)[30:].all()
+    assert strangers(tracks, truth) == 0
+
+
+@pytest.mark.parametrize("graph", ["active_array_karoui", "active_array_lo"])
+def test_the_benchmarks_of_the_paper_track_a_strong_target(play: Play, graph: str):
+    tracks, truth = play(graph, "scene.pings=35", "scene.scr_db=17", "scene.seed=14")
+    assert followed(tracks, truth)[25:].mean() > 0.7
+
+
+def test_the_same_bits_in_threads_and_in_order(tmp_path: Path):
+    def bits(name: str, options: Options) -> list[bytes]:
+        graph = graphs.load("active_array_tbd", set_=[*NEAR, "scene.pings=8", "scene.scr_db=13"])
+        buffers: list[bytes] = []
+        taps = {("tracker", "tracks"): lambda index, message: buffers.append(wire.encode(message))}
+        out = tmp_path / name
+        out.mkdir()
+        assert Run(graph, options, out=out, taps=taps).start().error is None
+        return [*buffers, (out / "tracks.csv").read_bytes()]
+
+    assert bits("threads", Options()) == bits("order", Options(in_order=True))

@@ -1,0 +1,366 @@
+"""Track before detect: ratios whose mean is one, correlation, weak targets, false tracks, lobes, frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fls_flow import NavState, Ping, Tracks, TrackStatus
+from fls_flow.geometry import to_polar, wrap
+from fls_flow.testing import check_node
+from fls_trackers.multi_ping_integration import MultiPingIntegration
+from fls_trackers.tbd_ratio import NO_PLANE, candidates, power_correlation, ratio_map, ratio_table
+from fls_trackers.tbd_scouts import COLUMNS, SCORE, Grid, Motion, best_of_cells, born, followed, predicted
+from fls_trackers.tbd_tracks import cartesian, first_bearings, likeliest_bearing, spread_bearings
+
+FloatArray = npt.NDArray[np.float64]
+HYDROPHONES = np.array([[-0.385, 0.0], [0.0, 0.395], [0.405, 0.0], [0.0, -0.405]])
+C, LOW_HZ, BAND_HZ, NEAR_M, FAR_M = 1520.0, 31e3, 10e3, 60.0, 90.0
+STILL = Motion(1.0, 2.0, 0.01, 0.5, 0.0, 0.0, 0.0)
+GRID = Grid(
+    NEAR_M,
+    0.038,
+    700,
+    float(np.radians(-179.0)),
+    float(np.radians(1.0)),
+    360,
+    True,
+    0.076,
+    float(np.radians(2.2)),
+)
+
+
+class Scene:
+    """Images of a window of range: white noise in the band of each hydrophone, echoes with their delays."""
+
+    def __init__(self, seed: int, scr_db: float, correlation: float = 0.0, pings: int = 40) -> None:
+        self.rng, self.pings, self.rho = np.random.default_rng(seed), pings, correlation
+        self.power = 10.0 ** (scr_db / 10.0)
+        period = 2.0 * (FAR_M - NEAR_M) / C * 1.05
+        self.n = int(BAND_HZ * period)
+        self.frequency = LOW_HZ + np.arange(self.n) / period
+        self.range_m = NEAR_M + np.arange(2 * self.n) * period / (2 * self.n) * C / 2.0
+        self.bearing = np.radians(np.arange(-179.0, 181.0))
+        self.steer = np.exp(-2j * np.pi * self.frequency[:, None, None] * (self._away(self.bearing) / C))
+
+    def _away(self, bearing: npt.ArrayLike) -> FloatArray:
+        """p . u of each hydrophone, (n, M)."""
+        u = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+        return np.asarray(u @ HYDROPHONES.T)
+
+    def __call__(self, targets: Callable[[int], FloatArray]) -> Iterator[Ping]:
+        """Pings of the targets (n, 2) that a ping's number gives."""
+        noise = self._noise()
+        for k in range(self.pings):
+            if k:
+                noise = self.rho * noise + math.sqrt(1.0 - self.rho**2) * self._noise()
+            spectra = noise.copy()
+            for place in targets(k).reshape(-1, 2):
+                r, b = np.hypot(*place), np.arctan2(place[1], place[0])
+                delay = 2.0 * (r - NEAR_M) / C - self._away(b) / C
+                level = np.sqrt(self.power / 4.0 / self.n) * np.exp(2j * np.pi * self.rng.random())
+                spectra += level * np.exp(-2j * np.pi * (self.frequency[:, None] * delay))
+            beams = np.einsum("fum,fm->fu", self.steer, spectra) / 4.0
+            image = np.zeros((2 * self.n, 360), complex)
+            image[: self.n] = beams * math.sqrt(self.n)
+            amplitude = np.abs(np.fft.ifft(image, axis=0) * 2.0).astype(np.float32)
+            keep = self.range_m < FAR_M
+            yield Ping(
+                k, k * 1_000_000_000, amplitude[keep], self.range_m[keep], self.bearing, sound_speed_mps=C
+            )
+
+    def _noise(self) -> npt.NDArray[np.complex128]:
+        shape = (self.n, len(HYDROPHONES))
+        return np.asarray(
+            (self.rng.standard_normal(shape) + 1j * self.rng.standard_normal(shape)) / math.sqrt(2.0)
+        )
+
+
+def moving(start: tuple[float, float], velocity: tuple[float, float]) -> Callable[[int], FloatArray]:
+    return lambda k: np.array(start) + k * np.array(velocity)
+
+
+def nothing(k: int) -> FloatArray:
+    return np.zeros((0, 2))
+
+
+def confirmed(tracks: Tracks) -> Tracks:
+    return tracks.select(tracks.status == TrackStatus.CONFIRMED)
+
+
+def clutter(seed: int, shape: tuple[int, int] = (2000, 200)) -> npt.NDArray[np.float32]:
+    return np.random.default_rng(seed).rayleigh(3.0, shape).astype(np.float32)
+
+
+@pytest.mark.parametrize("snr", [1.0, 2.0, 10.0])
+def test_ratios_have_a_mean_of_one_in_clutter_and_less_where_bounded(snr: float):
+    table = ratio_table(snr, 1e9, 50.0)
+    u = np.arange(table.size) / 32.0
+    assert np.sum(table * np.exp(-u)) / np.sum(np.exp(-u)) == pytest.approx(1.0, abs=0.02)
+    bounded = ratio_table(snr, 1e9, 2.0)
+    assert bounded.max() == pytest.approx(math.exp(2.0), rel=1e-6)
+    assert (bounded <= table * (1.0 + 1e-6)).all()
+
+
+def test_ratios_of_clutter_with_an_estimated_level_do_not_exceed_one_on_average():
+    # Half a bin of the table lets ratios be a little small; too many would make false tracks.
+    ratios = ratio_map(clutter(1), None, NO_PLANE, 0.0, 2, 32, ratio_table(2.0, 64.0, 7.0))
+    assert 0.9 < ratios.ratio.mean(dtype=float) < 1.01
+    assert ratios.power.mean(dtype=float) == pytest.approx(64.0 / 63.0, abs=0.01)
+    assert np.log(ratios.ratio).mean(dtype=float) < -0.3
+
+
+def test_power_is_over_the_mean_of_the_neighbours_in_the_same_beam():
+    amplitude = clutter(2, (80, 5))
+    power = ratio_map(amplitude, None, NO_PLANE, 0.0, 2, 10, ratio_table(2.0, 20.0, 7.0)).power
+    for r, b in ((0, 0), (40, 3), (79, 4), (5, 2)):
+        rows = [i for i in range(80) if 2 < abs(i - r) <= 12]
+        assert power[r, b] == pytest.approx(amplitude[r, b] ** 2 / np.mean(amplitude[rows, b] ** 2), rel=1e-5)
+
+
+def test_what_is_not_known_says_nothing():
+    amplitude, valid = clutter(3, (200, 20)), np.ones((200, 20), bool)
+    amplitude[50, 3], valid[:, 7] = np.nan, False
+    ratios = ratio_map(amplitude, valid, NO_PLANE, 0.0, 2, 32, ratio_table(2.0, 64.0, 7.0))
+    assert ratios.ratio[50, 3] == 1.0
+    assert (ratios.ratio[:, 7] == 1.0).all()
+    assert np.isfinite(ratios.ratio).all()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_integers_give_what_their_floats_give(dtype: type):
+    amplitude = np.round(clutter(4, (300, 20)) * 10.0).astype(dtype)
+    table = ratio_table(2.0, 64.0, 7.0)
+    one = ratio_map(amplitude, None, NO_PLANE, 0.0, 2, 32, table)
+    other = ratio_map(amplitude.astype(np.float32), None, NO_PLANE, 0.0, 2, 32, table)
+    assert np.array_equal(one.ratio, other.ratio)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, math.exp(-1.0 / 3.0)])
+def test_the_correlation_of_clutter_is_measured_and_made_up_for(rho: float):
+    rng = np.random.default_rng(5)
+    shape, table = (2000, 100), ratio_table(2.0, 64.0, 7.0)
+    old = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / math.sqrt(2.0)
+    new = rho * old + math.sqrt(1.0 - rho**2) * (
+        rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+    ) / math.sqrt(2.0)
+    before = ratio_map(np.abs(old).astype(np.float32), None, NO_PLANE, 0.0, 2, 32, table)
+    plain = ratio_map(np.abs(new).astype(np.float32), None, NO_PLANE, 0.0, 2, 32, table)
+    assert power_correlation(plain.power, before.power) == pytest.approx(rho**2, abs=0.03)
+    allowed = ratio_map(np.abs(new).astype(np.float32), None, before.power, rho**2, 2, 32, table)
+    assert (before.ratio * allowed.ratio).mean(dtype=float) < 1.02  # two pings of one place: no evidence
+    if rho > 0.6:
+        assert (before.ratio * plain.ratio).mean(dtype=float) > 1.3  # what it would be without
+
+
+def test_candidates_are_local_maxima_in_order():
+    power = np.zeros((20, 10), np.float32)
+    power[5, 9], power[5, 0], power[8, 4], power[12, 4], power[13, 4] = 5.0, 6.0, 7.0, 3.0, 9.0
+    row, beam = candidates(power, 2.0, True, 10)
+    assert list(zip(beam.tolist(), row.tolist(), strict=True)) == [(0, 5), (4, 8), (4, 13)]
+    row, beam = candidates(power, 2.0, False, 10)
+    assert (9, 5) in list(zip(beam.tolist(), row.tolist(), strict=True))
+    assert candidates(power, 2.0, True, 1)[0].tolist() == [13]
+
+
+def scout(range_m: float = 70.0, rate: float = 0.3, bearing: float = 0.5) -> FloatArray:
+    one = np.zeros((1, COLUMNS))
+    one[0, :5] = range_m, rate, 0.02**2, 0.0, 0.05**2
+    one[0, 5:10] = bearing, 0.002, 0.01**2, 0.0, 0.003**2
+    return one
+
+
+def test_a_scout_goes_straight_in_space():
+    one = scout(rate=-1.0)
+    r, b, turn = one[0, 0], one[0, 5], one[0, 6]
+    place = r * np.array([np.cos(b), np.sin(b)])
+    velocity = -1.0 * np.array([np.cos(b), np.sin(b)]) + r * turn * np.array([-np.sin(b), np.cos(b)])
+    for _ in range(30):
+        one = predicted(one, STILL)
+    state, covariance = cartesian(one, np.zeros(1))
+    assert state[0] == pytest.approx([*(place + 30.0 * velocity), *velocity], abs=1e-9)
+    assert (np.linalg.eigvalsh(covariance[0]) > 0.0).all()
+
+
+def test_own_motion_moves_what_stands_still():
+    one = scout(rate=0.0)
+    one[0, 6] = 0.0
+    place = 70.0 * np.array([np.cos(0.5), np.sin(0.5)])
+    moved = predicted(one, Motion(1.0, 2.0, 0.01, 0.5, 3.0, -2.0, 0.1))
+    r, b = to_polar(place - [3.0, -2.0])
+    assert moved[0, 0] == pytest.approx(float(r))
+    assert moved[0, 5] == pytest.approx(float(b) - 0.1)
+
+
+def test_a_scout_is_scored_by_bayes_rule():
+    rng = np.random.default_rng(6)
+    ratio = rng.exponential(size=(700, 360)).astype(np.float32)
+    one = scout()
+    got = followed(one, ratio, GRID)[0]
+    r, b = GRID.first_m + GRID.cell_m * np.arange(700), GRID.first_rad + GRID.beam_rad * np.arange(360)
+    sd_r, sd_b = math.hypot(0.02, 0.3 * 0.076), 0.01
+    w = np.where(np.abs(r - 70.0) <= 2.5 * sd_r, np.exp(-0.5 * ((r - 70.0) / sd_r) ** 2), 0.0)
+    v = np.where(
+        np.abs(b - 0.5) <= max(2.0 * sd_b, 1.5 * GRID.beam_rad), np.exp(-0.5 * ((b - 0.5) / sd_b) ** 2), 0.0
+    )
+    joint = w[:, None] * v * ratio
+    assert got[SCORE] == pytest.approx(math.log(joint.sum() / (w.sum() * v.sum())), rel=1e-6)
+    assert got[0] == pytest.approx((joint.sum(axis=1) @ r) / joint.sum())
+    assert got[5] == pytest.approx((joint.sum(axis=0) @ b) / joint.sum())
+
+
+def test_a_scout_that_leaves_the_ping_is_out():
+    ratio = np.ones((700, 360), np.float32)
+    for place in (NEAR_M - 1.0, NEAR_M + 700 * 0.038 + 1.0):
+        assert np.isneginf(followed(scout(place), ratio, GRID)[0, SCORE])
+
+
+def test_pairs_are_those_that_one_target_may_have_made():
+    rng = np.random.default_rng(7)
+    peaks = [
+        np.unique(np.stack([rng.integers(0, 360, 300), rng.integers(0, 700, 300)], axis=1), axis=0)
+        for _ in range(2)
+    ]
+    (b, r), (old_b, old_r) = (one.T.copy() for one in peaks)
+    found = born(r, b, old_r, old_b, np.full(r.size, 9.0), np.full(old_r.size, 9.0), GRID, STILL, 0.0)
+    expected = 0
+    for row, beam in zip(r, b, strict=True):
+        side = int((2.0 / (NEAR_M + row * 0.038) + 0.5 * GRID.beamwidth_rad) / GRID.beam_rad)
+        near = np.abs((old_b - beam + 180) % 360 - 180) <= side
+        expected += int(np.count_nonzero(near & (np.abs(old_r - row) * 0.038 <= 2.0)))
+    assert len(found) == expected > 10
+    assert np.abs(found[:, 1]).max() <= 2.0
+
+
+def test_of_scouts_at_one_place_the_best_is_left():
+    scouts = np.repeat(scout(), 5, axis=0)
+    scouts[:, SCORE] = [1.0, 4.0, 2.0, -3.0, 3.0]
+    scouts[4, 0] += 5.0
+    kept = best_of_cells(scouts, GRID, 0.1, 0.0, 10)
+    assert kept[:, SCORE].tolist() == [4.0, 3.0]
+    assert best_of_cells(scouts, GRID, 0.1, 0.0, 1)[:, SCORE].tolist() == [4.0]
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_beliefs_move_with_their_track(closed: bool):
+    grid = GRID._replace(closed=closed)
+    belief = first_bearings(np.zeros(1), np.zeros(1), grid)[None]
+    for _ in range(20):
+        belief = spread_bearings(belief, np.array([np.radians(0.25)]), np.zeros(1), grid)
+    assert belief.sum() == pytest.approx(1.0)
+    table = np.degrees(grid.first_rad + grid.beam_rad * np.arange(360))
+    assert table[belief[0].argmax()] == pytest.approx(5.0, abs=0.51)
+
+
+def test_a_track_goes_over_to_a_lobe_that_is_far_more_probable():
+    one = scout(bearing=0.0)
+    belief = 0.99 * first_bearings(np.radians([6.0]), np.zeros(1), GRID) + 0.01 / 360.0
+    belief[np.abs(np.degrees(GRID.first_rad + GRID.beam_rad * np.arange(360))) < 4.0] = 1e-9
+    moved = likeliest_bearing(one, belief[None], GRID)
+    assert np.degrees(moved[0, 5]) == pytest.approx(6.0, abs=0.3)
+    assert likeliest_bearing(one, first_bearings(np.zeros(1), np.zeros(1), GRID)[None], GRID)[0, 5] == 0.0
+
+
+def test_clutter_alone_gives_no_tracks():
+    for correlation in (0.0, math.exp(-1.0 / 3.0)):
+        node = MultiPingIntegration()
+        for ping in Scene(8, -30.0, correlation, pings=25)(nothing):
+            assert len(confirmed(node(ping))) == 0
+        assert node.snapshot()["correlation"] == pytest.approx(correlation**2, abs=0.05)
+
+
+@pytest.mark.parametrize(("scr_db", "pings", "latest"), [(5.0, 60, 45), (10.0, 25, 12)])
+def test_a_weak_target_is_found_and_kept(scr_db: float, pings: int, latest: int):
+    path = moving((70.0, 10.0), (0.2, -0.25))
+    node = MultiPingIntegration()
+    seen = [confirmed(node(ping)) for ping in Scene(9, scr_db, pings=pings)(path)]
+    assert all(len(tracks) == 1 for tracks in seen[latest:])
+    r, b = to_polar(seen[-1].state[0, :2])
+    true_r, true_b = to_polar(path(pings - 1))
+    assert abs(r - true_r) < 0.3
+    assert abs(wrap(b - true_b)) < np.radians(1.5)
+    along = path(pings - 1) / true_r
+    assert abs(along @ (seen[-1].state[0, 2:] - [0.2, -0.25])) < 0.1
+
+
+def test_all_its_lobes_are_one_track():
+    def two(k: int) -> FloatArray:
+        return np.array([[70.0 + 0.2 * k, 5.0], [-60.0, 50.0 - 0.3 * k]])
+
+    node = MultiPingIntegration()
+    for ping in Scene(10, 16.0, pings=25)(two):
+        tracks = confirmed(node(ping))
+    assert len(tracks) == 2
+    for place in two(24):
+        assert np.hypot(*(tracks.state[:, :2] - place).T).min() < 2.0
+
+
+def test_a_track_ends_when_its_target_does():
+    path = moving((70.0, 10.0), (0.2, -0.2))
+    node = MultiPingIntegration()
+    pings = Scene(11, 13.0, pings=50)(lambda k: path(k) if k < 15 else nothing(k))
+    statuses = [node(ping).status.tolist() for ping in pings]
+    assert TrackStatus.CONFIRMED in statuses[14]
+    assert sum(TrackStatus.LOST in one for one in statuses) == 1
+    assert TrackStatus.CONFIRMED not in statuses[-1]
+
+
+def test_the_world_frame_takes_a_turning_drifting_sonar():
+    target, node = np.array([75.0, 0.0]), MultiPingIntegration(frame="ned")
+
+    def seen(k: int) -> FloatArray:
+        heading, way = 0.01 * k, np.array([0.1 * k, 0.0])
+        r, b = to_polar(target - way)
+        return np.array([r * np.cos(b - heading), r * np.sin(b - heading)])
+
+    for k, ping in enumerate(Scene(12, 12.0, pings=30)(seen)):
+        nav = NavState(k, k, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.01 * k))
+        tracks = node(Ping(ping.seq, ping.stamp_ns, ping.amplitude, ping.range_m, ping.bearing_rad, nav=nav))
+    assert len(confirmed(tracks)) == 1
+    assert tracks.frame == "ned"
+    assert confirmed(tracks).state[0, :2] == pytest.approx(target, abs=2.0)
+    assert np.abs(confirmed(tracks).state[0, 2:]).max() < 0.2
+    unplaced = node(Ping(99, 31_000_000_000, ping.amplitude, ping.range_m, ping.bearing_rad))
+    assert len(confirmed(unplaced)) == 1
+
+
+def test_odd_pings_are_answered_and_bad_ones_named():
+    node = MultiPingIntegration()
+    assert len(node(Ping(1, 10))) == 0
+    assert len(node(Ping(2, 20, np.ones((1, 2), np.float32), np.ones(1), np.arange(2.0)))) == 0
+    with pytest.raises(ValueError, match="not after"):
+        node(Ping(3, 20))
+    uneven = np.array([1.0, 2.0, 4.0, 8.0])
+    with pytest.raises(ValueError, match="range_m is not evenly"):
+        node(Ping(4, 30, np.ones((4, 3), np.float32), uneven, np.arange(3.0)))
+    for n in (3, 40, 41):  # the grid may change from ping to ping
+        ping = Ping(n, n * 10**9, clutter(n, (n, 20)), 5.0 + 0.1 * np.arange(n), 0.01 * np.arange(20))
+        assert (node(ping).seq, node(ping := Ping(n, n * 10**9 + 1)).stamp_ns) == (n, ping.stamp_ns)
+
+
+def test_the_contract_is_kept():
+    path = moving((70.0, 10.0), (0.2, -0.25))
+    check_node(
+        MultiPingIntegration(max_scouts=3000),
+        [{"ping": ping} for ping in Scene(13, 14.0, 0.5, pings=5)(path)],
+    )
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"v_max_mps": 0.0},
+        {"guard_m": -1.0},
+        {"snr_db": math.nan},
+        {"max_scouts": 0},
+        {"frame": "body"},
+        {"false_per_ping": 0.0},
+    ],
+)
+def test_bad_parameters_are_refused(bad: dict[str, object]):
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        MultiPingIntegration(**bad)  # type: ignore[arg-type]  # they are wrong
