@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fls_flow import BeamMask, Detections, InputError, NavState, Tracks, Truth, Wakes
+from fls_flow import BeamMask, Classes, Detections, InputError, NavState, Tracks, Truth, Wakes
 from fls_flow.geometry import sensor_pose
 from fls_sinks.marks import ellipse, wedge
 from fls_sinks.picture import Look, drawn, levels, when
@@ -107,6 +107,15 @@ def test_tracks_carry_ids_and_lost_ones_none(make_ping, make_tracks):
     assert (np.ptp(near(image, dot(figure, 20, 2)), axis=1) > 60).any()
     assert (np.ptp(near(image, dot(figure, 25, 0)), axis=1) < 60).all()
     assert "3 confirmed" not in figure.axes[0].get_title()
+
+
+def test_tracks_carry_the_labels_of_their_classes(make_ping, make_tracks):
+    tracks = make_tracks(ids=(17, 4), status=(1, 1), state=[[20, 2, 0, 0], [15, -3, 0, 0]])
+    classes = Classes(0, 0, np.array([17]), ("diver", "marine"), np.array([1]), np.array([[0.2, 0.8]]))
+    scene = Scene.of(make_ping(), tracks=tracks, classes=classes)
+    assert sorted(texts(drawn([scene], LOOK))) == ["17 marine", "4"]
+    again = Scene.restored(scene.snapshot())
+    assert again.track_label == ("marine", "")
 
 
 def test_the_ellipse_is_turned_as_the_covariance(make_ping, make_tracks):

@@ -101,12 +101,18 @@ def trails(axes: Axes, scene: Scene) -> None:
 
 
 def tracks(axes: Axes, scene: Scene, gate_probability: float) -> None:
-    """Mark tracks with their ellipses, confirmed ones with their ids."""
+    """Mark tracks with their ellipses, confirmed ones with their ids and labels."""
     from matplotlib.patches import Ellipse
 
     named: set[str] = set()
-    for track_id, status, (x, y), covariance in zip(
-        scene.track_id.tolist(), scene.track_status, scene.track_m, scene.track_covariance, strict=True
+    labels = scene.track_label or ("",) * len(scene.track_id)
+    for track_id, label, status, (x, y), covariance in zip(
+        scene.track_id.tolist(),
+        labels,
+        scene.track_status,
+        scene.track_m,
+        scene.track_covariance,
+        strict=True,
     ):
         if status == TrackStatus.LOST or not np.isfinite([x, y]).all():
             continue
@@ -120,7 +126,7 @@ def tracks(axes: Axes, scene: Scene, gate_probability: float) -> None:
         )  # fmt: skip
         named.add(word)
         if confirmed:
-            _name(axes, track_id, x, y, faint=False)
+            _name(axes, track_id, x, y, faint=False, label=label)
         if np.isfinite(covariance).all():
             long, short, angle = ellipse(covariance, gate_probability)
             turned = 90.0 - math.degrees(angle)  # the picture's horizontal axis is y
@@ -140,11 +146,11 @@ def ellipse(covariance: FloatArray, gate_probability: float) -> tuple[float, flo
     return float(long), float(short), float(np.arctan2(vectors[1, 1], vectors[0, 1]))
 
 
-def _name(axes: Axes, track_id: int, x: float, y: float, faint: bool) -> None:
+def _name(axes: Axes, track_id: int, x: float, y: float, faint: bool, label: str = "") -> None:
     from matplotlib.patheffects import withStroke
 
     axes.annotate(
-        str(track_id),
+        f"{track_id} {label}".rstrip(),
         (y, x),
         xytext=(6, 6),
         textcoords="offset points",

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from fls_flow import BeamMask, Detections, InputError, Ping, Tracks, Truth, Wakes, hookimpl
+from fls_flow import BeamMask, Classes, Detections, InputError, Ping, Tracks, Truth, Wakes, hookimpl
 from fls_sinks.picture import Look, drawn
 from fls_sinks.scene import History, Scene
 
@@ -66,6 +66,7 @@ class Plot:
         tracks: Tracks | None = None,
         beam_mask: BeamMask | None = None,
         truth: Truth | None = None,
+        classes: Classes | None = None,
     ) -> None:
         """Remember what there is to draw; nothing is written yet."""
         if self._last is None and not self._chosen:
@@ -75,7 +76,7 @@ class Plot:
         wanted = {seq for seq in self.pings if seq not in self._chosen}
         if self.pings and not wanted:
             return
-        scene = Scene.of(ping, detections, wakes, tracks, beam_mask, truth)
+        scene = Scene.of(ping, detections, wakes, tracks, beam_mask, truth, classes)
         if ping.seq in wanted:
             self._chosen[ping.seq] = self._with_trails(scene)
             scene = self._chosen[ping.seq]

@@ -9,7 +9,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fls_flow import BeamMask, Detections, Frame, Ping, Sealed, Tracks, TrackStatus, Truth, Wakes, array
+from fls_flow import (
+    BeamMask,
+    Classes,
+    Detections,
+    Frame,
+    Ping,
+    Sealed,
+    Tracks,
+    TrackStatus,
+    Truth,
+    Wakes,
+    array,
+)
 from fls_flow.geometry import Pose, sensor_pose
 
 __all__ = ["History", "Scene"]
@@ -38,6 +50,7 @@ class Scene(Sealed):
     track_status: Array = array(np.uint8, "n_tracks")
     track_m: FloatArray = array(float, "n_tracks", 2)
     track_covariance: FloatArray = array(float, "n_tracks", 2, 2)
+    track_label: tuple[str, ...] = ()  # one per track, "" where it has none; or nothing
     truth_m: FloatArray = array(float, "n_truth", 2)
     trail_id: Array = array(np.int64, "n_trail")  # one entry per track and ping, oldest first
     trail_m: FloatArray = array(float, "n_trail", 2)
@@ -53,6 +66,7 @@ class Scene(Sealed):
         tracks: Tracks | None = None,
         beam_mask: BeamMask | None = None,
         truth: Truth | None = None,
+        classes: Classes | None = None,
     ) -> Scene:
         """The scene of one ping; tracks and truth in the NED frame are turned by the ping's navigation."""
         pose, notes = _pose(ping), []
@@ -68,7 +82,7 @@ class Scene(Sealed):
         if tracks is not None:
             turned = _turned(tracks.state[:, :2], tracks.frame, pose)
             notes += [] if turned is not None else [f"{len(tracks)} tracks in NED are not drawn"]
-            parts.update({} if turned is None else _tracks(tracks, turned, pose))
+            parts.update({} if turned is None else _tracks(tracks, turned, pose, classes))
         if truth is not None:
             turned = _turned(truth.state[:, :2], truth.frame, pose)
             notes += [] if turned is not None else [f"{len(truth)} true targets in NED are not drawn"]
@@ -119,6 +133,7 @@ class Scene(Sealed):
         plain: dict[str, Any] = {
             "notes": tuple(snapshot["notes"]),
             "pose": None if pose is None else tuple(pose),
+            "track_label": tuple(snapshot["track_label"]),
         }
         arrays = {key: value.copy() for key, value in snapshot.items() if isinstance(value, np.ndarray)}
         return cls(**(snapshot | arrays | plain))
@@ -193,7 +208,9 @@ def _turned(position_m: FloatArray, frame: Frame, pose: Pose | None) -> FloatArr
     return None if pose is None else pose.to_sensor(position_m)
 
 
-def _tracks(tracks: Tracks, position_m: FloatArray, pose: Pose | None) -> dict[str, Any]:
+def _tracks(
+    tracks: Tracks, position_m: FloatArray, pose: Pose | None, classes: Classes | None
+) -> dict[str, Any]:
     covariance = tracks.covariance[:, :2, :2].copy()
     if tracks.frame == "ned" and pose is not None:
         axes = pose.to_ned(np.eye(2)) - pose.origin_m  # rows: the sensor's axes in NED
@@ -203,4 +220,10 @@ def _tracks(tracks: Tracks, position_m: FloatArray, pose: Pose | None) -> dict[s
         "track_status": tracks.status.copy(),
         "track_m": position_m,
         "track_covariance": covariance,
+        "track_label": () if classes is None else _labels(tracks, classes),
     }
+
+
+def _labels(tracks: Tracks, classes: Classes) -> tuple[str, ...]:
+    named = dict(zip(classes.track_id.tolist(), classes.label.tolist(), strict=True))
+    return tuple(classes.names[named[one]] if one in named else "" for one in tracks.id.tolist())
