@@ -49,7 +49,7 @@ __all__ = ["ZenohLink"]
 
 log = logging.getLogger(__name__)
 
-SHARED_FROM = 131072  # bytes; below that, a copy costs less than a lease
+SHARED_FROM = 128 << 10  # bytes; below that, a copy costs less than a lease
 ANSWER_S = 0.02  # how long acknowledgements are gathered: they free memory, nothing waits for them
 
 
