@@ -41,6 +41,7 @@ class Outlet:
     publisher: zenoh.Publisher
     sender: Sender
     readers: int = 0  # of shared memory; 0: bytes travel
+    far: bool = True  # to other hosts: with checksums
 
     def end(self, last: int) -> None:
         """Nothing comes after firing `last`."""

@@ -226,7 +226,7 @@ class ZenohLink:
         receivers = sorted(receivers)
         sender = Sender(lambda packet: _put(publisher, packet), receivers)
         readers = len(receivers) if shares and self._arena and len(receivers) <= MAX_READERS else 0
-        return self._kept(key, Outlet(publisher, sender, readers))
+        return self._kept(key, Outlet(publisher, sender, readers, far=not shares))
 
     def _kept(self, key: str, outlet: Outlet) -> Outlet:
         def back(status: zenoh.MatchingStatus) -> None:
@@ -267,15 +267,15 @@ class ZenohLink:
         if not outlets:
             return
         layout = wire.layout(message)
-        payload: bytes | None = None
+        payloads: dict[bool, bytes] = {}
         for outlet in outlets:
             place = self._placed(layout, outlet.readers)
             if place is not None:
                 outlet.sender.send((*header, *place))
                 continue
-            if payload is None:
-                payload = layout.to_bytes()
-            outlet.sender.send(header, payload)
+            if outlet.far not in payloads:
+                payloads[outlet.far] = layout.to_bytes(checksum=outlet.far)
+            outlet.sender.send(header, payloads[outlet.far])
 
     def _placed(self, layout: wire.Layout, readers: int) -> Descriptor | None:
         """The message in shared memory; None when it is small or there is no room: then bytes travel."""
