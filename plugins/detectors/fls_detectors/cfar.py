@@ -29,7 +29,7 @@ __all__ = [
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-CHUNK_CELLS = 1 << 14  # worked on at once, if there are not many beams: the planes fit the nearest caches
+CHUNK_CELLS = 1 << 13  # worked on at once, if there are not many beams: the planes fit the nearest caches
 SIFT_CELLS = 256  # looked through once more, one by one, if any of them may be a hit
 MARGIN = np.float32(1.0 - 1e-5)  # of the screen, over float32 rounding
 HUGE = np.float32(1e38)  # sums beyond it would overflow the screen
@@ -94,34 +94,28 @@ def _screen(
 ) -> None:
     """Go along the ranges in chunks of rows, kept flat: loops are long even when the beams are few.
 
-    `sums` holds 2 reach rows of history, then the chunk, and so does `counts`, of the dtype of `kind`;
-    `power`, whose rows wait for their reference behind, reach rows and the chunk.
+    `sums` holds 2 reach rows of history, then the chunk, and so does `counts`, of the dtype of `kind`.
     """
     n_ranges, n_beams = amplitude.shape
     reach = window.guard + 1 + ((1 << window.levels) - 1) * window.stride
     rows = min(max(CHUNK_CELLS // n_beams, 64, 2 * reach), n_ranges + reach)  # reach rows are history
     new = rows * n_beams
     sums = np.zeros(2 * reach * n_beams + new, np.float32)
-    power = np.zeros(reach * n_beams + new, np.float32)
-    reference = np.zeros(new if flags.size else 0, np.float32)
+    reference = np.zeros(new, np.float32)
     usable = np.zeros(new if flags.size else 0, kind.dtype)
     counts = np.zeros(sums.size if flags.size else 0, kind.dtype)
     for front in range(0, n_ranges + reach, rows):
-        entered = power[reach * n_beams :]
-        _enter(amplitude, flags, front, entered, reference, usable)
-        chosen = reference if flags.size else entered
-        _sum_window(chosen, n_beams, window, new, sums)
+        _enter(amplitude, flags, front, reference, usable)
+        _sum_window(reference, n_beams, window, new, sums)
         behind = sums[(reach + window.guard + 1) * n_beams :]
         if flags.size:
             _sum_window(usable, n_beams, window, new, counts)
         counts_behind = counts[(reach + window.guard + 1) * n_beams :] if flags.size else counts
         before, after = (sums, counts), (behind, counts_behind)
-        first = front - reach
         _sift(
-            amplitude, flags, first, rows, window, factors, relative, floor_power, power, before, after, hits
+            amplitude, flags, front - reach, rows, window, factors, relative, floor_power, before, after, hits
         )
         sums[:-new] = sums[new:].copy()
-        power[:-new] = power[new:].copy()
         if flags.size:
             counts[:-new] = counts[new:].copy()
 
@@ -142,28 +136,25 @@ def _enter(
     amplitude: npt.NDArray[Any],
     flags: Flags,
     front: int,
-    power: npt.NDArray[np.float32],
     reference: npt.NDArray[np.float32],
     usable: npt.NDArray[Any],
 ) -> None:
-    """Fill in squares: of the cells to be tested, and of those that may be reference, with a 1 for each."""
+    """Fill in the squares of the cells that may be reference, with a 1 for each."""
     n_ranges, n_beams = amplitude.shape
-    count = min(power.size, max(n_ranges - front, 0) * n_beams)
+    count = min(reference.size, max(n_ranges - front, 0) * n_beams)
     cells = amplitude.reshape(-1)[front * n_beams :]
-    power[count:] = np.float32(0.0)
     reference[count:] = np.float32(0.0)
     usable[count:] = 0
     if flags.size:
         marks = flags.reshape(-1)[front * n_beams :]
         for i in range(count):
             x = np.float32(cells[i])
-            power[i] = x * x if marks[i] & TEST else np.float32(0.0)
             reference[i] = x * x if marks[i] & REFERENCE else np.float32(0.0)
             usable[i] = marks[i] & REFERENCE
     else:
         for i in range(count):
             x = np.float32(cells[i])
-            power[i] = x * x
+            reference[i] = x * x
 
 
 @compiled
@@ -223,43 +214,47 @@ def _sift(
     factors: FloatArray,
     relative: FloatArray,
     floor_power: float,
-    power: npt.NDArray[np.float32],
     before: tuple[npt.NDArray[np.float32], npt.NDArray[Any]],
     behind: tuple[npt.NDArray[np.float32], npt.NDArray[Any]],
     hits: BoolArray,
 ) -> None:
     """Decide the cells whose power exceeds the least threshold that their sum, and their count, allow."""
-    n_beams = amplitude.shape[1]
+    n_ranges, n_beams = amplitude.shape
     size = 2 * (1 << window.levels) * (2 * window.beams + 1)
     least = np.float32(factors[-1]) * MARGIN  # a(J) and J a(J) fall with J: no threshold lies below this
     floor_sum = np.float32(min(floor_power * size, float(HUGE)))
     lowest, floor = _least_by_count(window, factors), np.float32(floor_power)
-    stop = rows * n_beams
+    cells = amplitude.reshape(-1)
+    stop = min(rows, n_ranges - first_row) * n_beams
     for start in range(max(-first_row, 0) * n_beams, stop, SIFT_CELLS):
         piece = slice(start, min(start + SIFT_CELLS, stop))
-        tested, one, other = power[piece], before[0][piece], behind[0][piece]
+        tested = cells[first_row * n_beams + start : first_row * n_beams + piece.stop]
+        one, other = before[0][piece], behind[0][piece]
         above = False
         if flags.size:
             count, more = before[1][piece], behind[1][piece]
             for i in range(tested.size):
-                J = count[i] + more[i]
-                above |= tested[i] > lowest[J] * min(max(one[i] + other[i], np.float32(J) * floor), HUGE)
+                x, J = np.float32(tested[i]), count[i] + more[i]
+                above |= x * x > lowest[J] * min(max(one[i] + other[i], np.float32(J) * floor), HUGE)
         else:
             for i in range(tested.size):
-                above |= tested[i] > least * min(max(one[i] + other[i], floor_sum), HUGE)
+                x = np.float32(tested[i])
+                above |= x * x > least * min(max(one[i] + other[i], floor_sum), HUGE)
         if not above:
             continue
         for i in range(tested.size):
+            x = np.float32(tested[i])
             if flags.size:
                 J = before[1][start + i] + behind[1][start + i]
-                possible = tested[i] > lowest[J] * min(max(one[i] + other[i], np.float32(J) * floor), HUGE)
+                possible = x * x > lowest[J] * min(max(one[i] + other[i], np.float32(J) * floor), HUGE)
             else:
-                possible = tested[i] > least * min(max(one[i] + other[i], floor_sum), HUGE)
+                possible = x * x > least * min(max(one[i] + other[i], floor_sum), HUGE)
             if possible:
                 row, beam = first_row + (start + i) // n_beams, (start + i) % n_beams
-                hits[row, beam] = _exceeds(
-                    amplitude, flags, row, beam, window, factors, relative[beam], floor_power
-                )
+                if flags.size == 0 or flags[row, beam] & TEST:
+                    hits[row, beam] = _exceeds(
+                        amplitude, flags, row, beam, window, factors, relative[beam], floor_power
+                    )
 
 
 @compiled
