@@ -43,6 +43,7 @@ CONTESTANTS = (
     Contestant("ezmsg", "over_ezmsg", "", "ezmsg", "pip install ezmsg"),
     Contestant("ring", "over_ring", "tcp", "fls_flow.links.ring"),
     Contestant("link", "over_link", "tcp", "fls_flow.links.zenoh"),
+    Contestant("link-32", "over_link", "tcp-32", "fls_flow.links.zenoh"),  # in flight as ezmsg has
     Contestant("runtime", "over_runtime", "tcp", "fls_flow.runtime.run"),
 )
 

@@ -1,21 +1,21 @@
 """How values stand in a buffer: scalars as items of its flat header, arrays as segments behind it.
 
-Each codec carries the values of one annotation. Reading checks every item, so that nothing comes out but what
-the annotation allows.
+Each codec carries the values of one annotation: it adds to the functions that write and read a message class.
+Reading checks every item, so that nothing comes out but what the annotation allows.
 """
 
 from __future__ import annotations
 
 import enum
-import math
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, NoReturn, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from fls_flow._generated import Code
 from fls_flow.errors import WireError
 
 __all__ = [
@@ -28,9 +28,8 @@ __all__ = [
     "Record",
     "Scalar",
     "Schema",
-    "Sink",
-    "Source",
     "Tuple",
+    "Writer",
     "aligned",
     "short",
 ]
@@ -51,61 +50,6 @@ class Schema(NamedTuple):
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Sink:
-    """What writing fills: the header's items and the arrays in order."""
-
-    items: list[Any]
-    arrays: list[tuple[npt.NDArray[Any], np.dtype[Any]]]
-
-
-class Source:
-    """What reading draws from: the header's items in order, and the arrays behind it."""
-
-    def __init__(self, view: memoryview, items: list[Any], end_of_header: int) -> None:
-        self._view = view.toreadonly()
-        self._items: Iterator[Any] = iter(items)
-        self._end = end_of_header
-        # the header's next item; StopIteration when it has too few (so never take in a generator)
-        self.take: Callable[[], Any] = self._items.__next__
-
-    def array(self, where: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
-        """The next segment, as a read-only view."""
-        count = math.prod(shape)
-        start = aligned(self._end)
-        if count == 0:
-            return _empty(where, dtype, shape)
-        if start + count * dtype.itemsize > len(self._view):
-            raise WireError(f"{where} has shape {short(shape)} of {dtype}: more than the buffer holds")
-        self._end = start + count * dtype.itemsize
-        # Not ndarray(buffer=...), which would let the buffer be resized or closed under the array.
-        found: npt.NDArray[Any] = np.frombuffer(self._view, dtype, count, start).reshape(shape)
-        _check_bools(where, found)
-        return found
-
-    def finish(self) -> None:
-        """Raise unless all was read."""
-        if any(True for _ in self._items):
-            raise WireError("the header has too many items")
-        if self._end != len(self._view):
-            raise WireError(f"the arrays end at byte {self._end} of {len(self._view)}")
-
-
-def _empty(where: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
-    try:
-        empty = np.empty(shape, dtype)
-    except (ValueError, OverflowError, MemoryError) as error:  # a length beyond numpy's beside a zero
-        raise WireError(f"{where} has shape {short(shape)}: {error}") from error
-    empty.flags.writeable = False
-    return empty
-
-
-def _check_bools(where: str, array: npt.NDArray[Any]) -> None:
-    """Raise at bytes that are neither 0 nor 1: numpy takes them for bools and then counts them wrongly."""
-    if array.dtype.kind == "b" and array.size and array.view(np.uint8).max() > 1:
-        raise WireError(f"{where} holds bytes other than 0 and 1: use `!= 0`, not `.view(bool)`")
-
-
 class Codec(Protocol):
     """What carries the values of one annotation."""
 
@@ -113,11 +57,36 @@ class Codec(Protocol):
     def text(self) -> str:
         """The annotation's part of the schema."""
 
-    def write(self, value: Any, sink: Sink) -> None:
-        """Append the items and arrays of `value`; WireError that names the field when it does not fit."""
+    def write(self, value: str, code: Writer) -> None:
+        """Add lines that append the items and arrays of the variable `value`.
 
-    def read(self, source: Source) -> Any:
-        """The value that the next items give; WireError when they do not fit."""
+        They raise WireError, which names the field, when it does not fit.
+        """
+
+    def read(self, code: Code) -> str:
+        """Add lines that take the next items and arrays; the variable with their value.
+
+        They use `take()` for the header's next item (StopIteration when it has too few), `view` and `end`,
+        where the last array ends. They raise WireError when the items do not fit.
+        """
+
+
+class Writer(Code):
+    """Code that fills `items` and `arrays`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._pending: list[str] = []
+
+    def item(self, *expressions: str) -> None:
+        """Add items of the header; those that follow each other are appended at once."""
+        self._pending += expressions
+
+    def flush(self) -> None:
+        """Append what is pending."""
+        if self._pending:
+            self.line(f"items += ({', '.join(self._pending)},)")
+            self._pending.clear()
 
 
 def _refuse(where: str, value: Any, wanted: str) -> NoReturn:
@@ -135,25 +104,39 @@ class Scalar:
     def text(self) -> str:
         return self.kind.__name__
 
-    def write(self, value: Any, sink: Sink) -> None:
+    def write(self, value: str, code: Writer) -> None:
+        beyond = {int: f" or not {-(2**63)} <= {value} < {2**64}", str: f" or not {value}.isascii()"}
+        with code.block(f"if type({value}) is not {self.text}{beyond.get(self.kind, '')}"):
+            code.line(f"{value} = {code.uses(self.exactly)}({value})")
+        code.item(value)
+
+    def read(self, code: Code) -> str:
+        value = code.name()
+        code.line(f"{value} = take()")
+        with code.block(f"if type({value}) is not {self.text}"):
+            code.line(f"{code.uses(self.refuse)}({value})")
+        return value
+
+    def refuse(self, value: Any) -> NoReturn:
+        """Say what it takes instead."""
+        _refuse(self.where, value, self.text)
+
+    def exactly(self, value: Any) -> Any:
+        """The value as exactly this kind; WireError for what cannot be one."""
         if type(value) is not self.kind:
             # float32 is no float here: in one process it would go on computing in single precision.
             taken, exactly = _TAKEN[self.kind]
             if not isinstance(value, taken) or type(value) is bool:
-                _refuse(self.where, value, self.text)
+                self.refuse(value)
             try:
                 value = exactly(value)
             except OverflowError as error:
                 raise WireError(f"{self.where} is {short(value)}: {error}") from error
         if self.kind is int and not -(2**63) <= value < 2**64:
             _refuse(self.where, value, "integers of 64 bits")
-        if self.kind is str and not value.isascii() and any("\ud800" <= c <= "\udfff" for c in value):
+        if self.kind is str and any("\ud800" <= c <= "\udfff" for c in value):
             _refuse(self.where, value, "text that UTF-8 can hold")
-        sink.items.append(value)
-
-    def read(self, source: Source) -> Any:
-        value = source.take()
-        return value if type(value) is self.kind else _refuse(self.where, value, self.text)
+        return value
 
 
 # For each kind: what is taken for it, and how it becomes exactly it (a subclass may lie about itself).
@@ -176,15 +159,23 @@ class Choice:
     def text(self) -> str:
         return "|".join(map(repr, self.options))
 
-    def write(self, value: Any, sink: Sink) -> None:
+    def write(self, value: str, code: Writer) -> None:
+        code.line(f"{value} = {code.uses(self.plain)}({value})")
+        code.item(value)
+
+    def read(self, code: Code) -> str:
+        value = code.name()
+        code.line(f"{value} = {code.uses(self.option)}(take())")
+        return value
+
+    def plain(self, value: Any) -> int | str:
+        """What stands for the value."""
         plain = value.value if isinstance(value, enum.Enum) else value
-        self._option(plain)
-        sink.items.append(operator.index(plain) if isinstance(plain, int) else str.__str__(plain))
+        self.option(plain)
+        return operator.index(plain) if isinstance(plain, int) else str.__str__(plain)
 
-    def read(self, source: Source) -> Any:
-        return self._option(source.take())
-
-    def _option(self, plain: Any) -> Any:
+    def option(self, plain: Any) -> Any:
+        """The value that `plain` stands for."""
         if not isinstance(plain, int | str) or plain not in self.options:
             _refuse(self.where, plain, self.text)
         return self.options[plain]
@@ -200,16 +191,26 @@ class Optional:
     def text(self) -> str:
         return f"{self.inner.text}?"
 
-    def write(self, value: Any, sink: Sink) -> None:
-        sink.items.append(value is not None)
-        if value is not None:
-            self.inner.write(value, sink)
+    def write(self, value: str, code: Writer) -> None:
+        code.item(f"{value} is not None")
+        code.flush()
+        with code.block(f"if {value} is not None"):
+            self.inner.write(value, code)
+            code.flush()
 
-    def read(self, source: Source) -> Any:
-        there = source.take()
-        if type(there) is not bool:
-            raise WireError(f"the header has {short(there)} where it says whether a {self.text} is there")
-        return self.inner.read(source) if there else None
+    def read(self, code: Code) -> str:
+        there, value = code.name(), code.name()
+        code.line(f"{there} = take()")
+        code.line(f"{value} = None")
+        with code.block(f"if {there} is True"):
+            code.line(f"{value} = {self.inner.read(code)}")
+        with code.block(f"elif {there} is not False"):
+            code.line(f"{code.uses(self.refuse)}({there})")
+        return value
+
+    def refuse(self, there: Any) -> NoReturn:
+        """Say what it takes instead."""
+        raise WireError(f"the header has {short(there)} where it says whether a {self.text} is there")
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,14 +224,21 @@ class Tuple:
     def text(self) -> str:
         return "(" + ",".join(part.text for part in self.parts) + ")"
 
-    def write(self, value: Any, sink: Sink) -> None:
-        if not isinstance(value, tuple) or len(value) != len(self.parts):
-            _refuse(self.where, value, f"a tuple {self.text}")
-        for part, entry in zip(self.parts, value, strict=True):
-            part.write(entry, sink)
+    def write(self, value: str, code: Writer) -> None:
+        with code.block(f"if not isinstance({value}, tuple) or len({value}) != {len(self.parts)}"):
+            code.line(f"{code.uses(self.refuse)}({value})")
+        entries = [code.name() for _ in self.parts]
+        code.line(f"{', '.join(entries)}, = {value}" if entries else "pass")
+        for part, entry in zip(self.parts, entries, strict=True):
+            part.write(entry, code)
 
-    def read(self, source: Source) -> Any:
-        return tuple([part.read(source) for part in self.parts])
+    def read(self, code: Code) -> str:
+        entries = [part.read(code) for part in self.parts]
+        return f"({', '.join(entries)},)" if entries else "()"
+
+    def refuse(self, value: Any) -> NoReturn:
+        """Say what it takes instead."""
+        _refuse(self.where, value, f"a tuple {self.text}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,19 +252,34 @@ class Many:
     def text(self) -> str:
         return f"{self.part.text}*"
 
-    def write(self, value: Any, sink: Sink) -> None:
-        if not isinstance(value, tuple):
-            _refuse(self.where, value, f"a tuple {self.text}")
-        sink.items.append(len(value))
-        for entry in value:
-            self.part.write(entry, sink)
+    def write(self, value: str, code: Writer) -> None:
+        with code.block(f"if not isinstance({value}, tuple)"):
+            code.line(f"{code.uses(self.refuse)}({value})")
+        code.item(f"len({value})")
+        code.flush()
+        entry = code.name()
+        with code.block(f"for {entry} in {value}"):
+            self.part.write(entry, code)
+            code.flush()
 
-    def read(self, source: Source) -> Any:
-        length = source.take()
-        if type(length) is not int or length < 0:
-            _refuse(self.where, length, "a number of entries")
+    def read(self, code: Code) -> str:
+        length, entries = code.name(), code.name()
+        code.line(f"{length} = take()")
+        with code.block(f"if type({length}) is not int or {length} < 0"):
+            code.line(f"{code.uses(self.refuse_length)}({length})")
+        code.line(f"{entries} = []")
         # Every entry takes an item at least: a length that lies ends with the header.
-        return tuple([self.part.read(source) for _ in range(length)])
+        with code.block(f"for _ in range({length})"):
+            code.line(f"{entries}.append({self.part.read(code)})")
+        return f"tuple({entries})"
+
+    def refuse(self, value: Any) -> NoReturn:
+        """Say what it takes instead."""
+        _refuse(self.where, value, f"a tuple {self.text}")
+
+    def refuse_length(self, length: Any) -> NoReturn:
+        """Say what it takes instead."""
+        _refuse(self.where, length, "a number of entries")
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,28 +294,74 @@ class Array:
     def text(self) -> str:
         return f"[{' '.join(self.dtypes)}]{self.dims}"
 
-    def write(self, value: Any, sink: Sink) -> None:
-        array = np.asarray(value)
-        code = array.dtype.str[1:]
-        if code not in self.dtypes or array.ndim > _MAX_NDIM:
+    def write(self, value: str, code: Writer) -> None:
+        dtype, first = code.name(), next(iter(self.dtypes.values()))
+        with code.block(f"if type({value}) is not {code.uses(np.ndarray)}"):
+            code.line(f"{value} = {code.uses(np.asarray)}({value})")
+        usual = f"{value}.dtype is {code.uses(first)} and {first.kind != 'b'}"
+        code.line(f"{dtype} = {code.uses(first)} if {usual} else {code.uses(self.dtype)}({value})")
+        with code.block(f"if {value}.size"):
+            code.line(f"arrays.append(({value}, {dtype}))")
+        name = repr(first.str[1:]) if len(self.dtypes) == 1 else f"{dtype}.str[1:]"
+        code.item(name, f"{value}.ndim", f"*{value}.shape")
+
+    def dtype(self, array: npt.NDArray[Any]) -> np.dtype[Any]:
+        """The cells' dtype on the wire."""
+        found = self.dtypes.get(array.dtype.str[1:])
+        if found is None or array.ndim > _MAX_NDIM:
             what = f"{self.where} has dtype {array.dtype} and {array.ndim} dimensions"
             raise WireError(f"{what}; it takes {', '.join(self.dtypes)} and at most {_MAX_NDIM}")
-        _check_bools(self.where, array)
-        sink.items.extend((code, array.ndim, *array.shape))
-        if array.size:
-            sink.arrays.append((array, self.dtypes[code]))
+        if found.kind == "b":
+            _check_bools(self.where, array)
+        return found
 
-    def read(self, source: Source) -> Any:
-        code, ndim = source.take(), source.take()
-        if type(code) is not str or code not in self.dtypes:
+    def read(self, code: Code) -> str:
+        value = code.name()
+        code.line(f"{value}, end = {code.uses(self.array)}(take, view, end)")
+        return value
+
+    def array(self, take: Callable[[], Any], view: memoryview, end: int) -> tuple[npt.NDArray[Any], int]:
+        """The next segment, as a read-only view, and where it ends."""
+        code, ndim = take(), take()
+        dtype = self.dtypes.get(code) if type(code) is str else None
+        if dtype is None:
             _refuse(self.where, code, f"dtype {', '.join(self.dtypes)}")
         if type(ndim) is not int or not 0 <= ndim <= _MAX_NDIM:
             _refuse(self.where, ndim, f"0 to {_MAX_NDIM} dimensions")
-        shape = tuple([source.take() for _ in range(ndim)])
-        for length in shape:
+        shape: list[int] = []
+        count = 1
+        for _ in range(ndim):
+            length = take()
             if type(length) is not int or length < 0:
-                _refuse(self.where, shape, "lengths as its shape")
-        return source.array(self.where, self.dtypes[code], shape)
+                _refuse(self.where, (*shape, length), "lengths as its shape")
+            shape.append(length)
+            count *= length
+        if count == 0:
+            return _empty(self.where, dtype, shape), end
+        start = -(-end // ALIGNMENT) * ALIGNMENT
+        end = start + count * dtype.itemsize
+        if end > len(view):
+            raise WireError(f"{self.where} has shape {short(shape)} of {dtype}: more than the buffer holds")
+        # Not ndarray(buffer=...), which would let the buffer be resized or closed under the array.
+        found: npt.NDArray[Any] = np.frombuffer(view, dtype, count, start)
+        if dtype.kind == "b":
+            _check_bools(self.where, found)
+        return found if ndim == 1 else found.reshape(shape), end
+
+
+def _empty(where: str, dtype: np.dtype[Any], shape: list[int]) -> npt.NDArray[Any]:
+    try:
+        empty = np.empty(shape, dtype)
+    except (ValueError, OverflowError, MemoryError) as error:  # a length beyond numpy's beside a zero
+        raise WireError(f"{where} has shape {short(shape)}: {error}") from error
+    empty.flags.writeable = False
+    return empty
+
+
+def _check_bools(where: str, array: npt.NDArray[Any]) -> None:
+    """Raise at bytes that are neither 0 nor 1: numpy takes them for bools and then counts them wrongly."""
+    if array.size and array.view(np.uint8).max() > 1:
+        raise WireError(f"{where} holds bytes other than 0 and 1: use `!= 0`, not `.view(bool)`")
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,19 +380,49 @@ class Record:
     def text(self) -> str:
         return self.schema.text
 
-    def write(self, value: Any, sink: Sink) -> None:
-        if type(value) is not self.cls:
-            _refuse(self.name, value, "exactly this class")
-        for name, part in self.parts:
-            part.write(getattr(value, name), sink)
+    def write(self, value: str, code: Writer) -> None:
+        with code.block(f"if type({value}) is not {code.uses(self.cls)}"):
+            code.line(f"{code.uses(self.refuse)}({value})")
+        for field, part in self.parts:
+            entry = code.name()
+            code.line(f"{entry} = {value}.{field}")
+            part.write(entry, code)
 
-    def read(self, source: Source) -> Any:
-        values = {name: part.read(source) for name, part in self.parts}
-        try:
-            return self.cls(**values)
-        except Exception as error:  # whatever a plugin's class raises at what it refuses
-            reason = " ".join(str(error).split())
-            raise WireError(f"{self.name} refuses what the buffer holds: {reason}") from error
+    def read(self, code: Code) -> str:
+        value = code.name()
+        fields = ", ".join(f"{field}={part.read(code)}" for field, part in self.parts)
+        with code.block("try"):
+            code.line(f"{value} = {code.uses(self.cls)}({fields})")
+        with code.block("except Exception as error"):  # whatever a plugin's class raises at what it refuses
+            code.line(f"{code.uses(self.refused)}(error)")
+        return value
+
+    def refuse(self, value: Any) -> NoReturn:
+        """Say what it takes instead."""
+        _refuse(self.name, value, "exactly this class")
+
+    def refused(self, error: Exception) -> NoReturn:
+        """Say why the class does not take what the buffer holds."""
+        reason = " ".join(str(error).split())
+        raise WireError(f"{self.name} refuses what the buffer holds: {reason}") from error
+
+    def writer(self) -> Callable[[Any], Laid]:
+        """The function that gives the items and arrays of a message."""
+        code = Writer()
+        code.line(f"items, arrays = [{self.name!r}, {self.schema.fingerprint}], []")
+        self.write("message", code)
+        code.flush()
+        code.line("return items, arrays")
+        return code.function("write", "message")
+
+    def reader(self) -> Callable[[Callable[[], Any], memoryview, int], tuple[Any, int]]:
+        """The function that gives the message whose items `take` gives, and where its arrays end."""
+        code = Code()
+        code.line(f"return {self.read(code)}, end")
+        return code.function("read", "take, view, end")
+
+
+Laid = tuple[list[Any], list[tuple[npt.NDArray[Any], np.dtype[Any]]]]  # items; arrays, dtypes on the wire
 
 
 def aligned(offset: int) -> int:

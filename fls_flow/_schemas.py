@@ -7,24 +7,33 @@ import types
 from collections.abc import Callable
 from dataclasses import Field, fields, is_dataclass
 from functools import cache
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from xxhash import xxh3_64_intdigest
 
-from fls_flow._codecs import DTYPES, Array, Choice, Codec, Many, Optional, Record, Scalar, Schema, Tuple
+from fls_flow._codecs import DTYPES, Array, Choice, Codec, Laid, Many, Optional, Record, Scalar, Schema, Tuple
 from fls_flow.errors import WireError
 from fls_flow.messages import is_message_type
 
-__all__ = ["record"]
+__all__ = ["Carrier", "carrier"]
+
+
+class Carrier(NamedTuple):
+    """What carries the messages of a class."""
+
+    schema: Schema
+    write: Callable[[Any], Laid]  # a message's items and arrays
+    read: Callable[[Callable[[], Any], memoryview, int], tuple[Any, int]]  # the message; where its arrays end
 
 
 @cache
-def record(cls: type) -> Record:
+def carrier(cls: type) -> Carrier:
     """What carries messages of `cls`; WireError that names the first field which cannot be carried."""
     if not is_message_type(cls):
         raise WireError(f"{cls!r} is no message: a frozen dataclass that begins with seq and stamp_ns")
-    return _record_of(cls, ())
+    record = _record_of(cls, ())
+    return Carrier(record.schema, record.writer(), record.reader())
 
 
 def _record_of(cls: type, outer: tuple[type, ...]) -> Record:

@@ -11,11 +11,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import IntEnum
-from functools import cache
-from typing import Any, Literal, Protocol, Self, cast
+from typing import Any, Literal, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
+
+from fls_flow._sealed import Sealed, array
 
 __all__ = [
     "AltimeterBeams",
@@ -63,71 +64,6 @@ class Message(Protocol):
     @property
     def stamp_ns(self) -> int:
         """When the ping was sent, nanoseconds UTC."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Shape:
-    dtypes: tuple[np.dtype[Any], ...]
-    dims: tuple[int | str, ...]
-
-
-def array(dtype: npt.DTypeLike | tuple[npt.DTypeLike, ...], *dims: int | str, optional: bool = False) -> Any:
-    """A message's array field: its dtype (or the dtypes allowed) and shape; by default it is empty.
-
-    A named dimension (`"n"`) is equal in all arrays of one message; a number is that length. An `optional`
-    one may be None, and is by default.
-    """
-    allowed = tuple(np.dtype(d) for d in (dtype if isinstance(dtype, tuple) else (dtype,)))
-    empty = tuple(0 if isinstance(d, str) else d for d in dims)
-    shape = _Shape(allowed, dims)
-    if optional:
-        return field(default=None, metadata={"shape": shape})
-    return field(default_factory=lambda: np.zeros(empty, allowed[0]), metadata={"shape": shape})
-
-
-class Sealed:
-    """Base of dataclasses with `array` fields: checks shapes and makes the arrays read-only.
-
-    Raises ValueError that names the field, when an array has another shape than the class declares.
-    """
-
-    def __post_init__(self) -> None:
-        lengths: dict[str, tuple[int, str]] = {}
-        for name, shape in _shapes(cast(Any, type(self))):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, _sealed(type(self).__name__, name, value, shape, lengths))
-
-
-@cache
-def _shapes(cls: Any) -> tuple[tuple[str, _Shape], ...]:
-    """The array fields of a message class."""
-    return tuple((one.name, one.metadata["shape"]) for one in fields(cls) if "shape" in one.metadata)
-
-
-def _sealed(
-    owner: str, name: str, value: Any, shape: _Shape, lengths: dict[str, tuple[int, str]]
-) -> npt.NDArray[Any]:
-    given = value if type(value) is np.ndarray else np.asarray(value)
-    if given.dtype not in shape.dtypes:
-        if len(shape.dtypes) > 1:
-            allowed = ", ".join(map(str, shape.dtypes))
-            raise ValueError(f"{owner}.{name} has dtype {given.dtype}; it takes {allowed}")
-        given = given.astype(shape.dtypes[0])
-    if given.ndim != len(shape.dims):
-        raise ValueError(f"{owner}.{name} has shape {given.shape}; it takes {_text(shape.dims)}")
-    for length, dim in zip(given.shape, shape.dims):  # noqa: B905  # of equal length; this is a hot path
-        expected, by = (dim, name) if isinstance(dim, int) else lengths.setdefault(dim, (length, name))
-        if length != expected:
-            hint = "" if by == name else f": '{by}' has {dim} = {expected}"
-            raise ValueError(f"{owner}.{name} has shape {given.shape}; it takes {_text(shape.dims)}{hint}")
-    sealed = given.view()
-    sealed.flags.writeable = False
-    return sealed
-
-
-def _text(dims: tuple[int | str, ...]) -> str:
-    return "(" + ", ".join(map(str, dims)) + ("," if len(dims) == 1 else "") + ")"
 
 
 def is_message_type(cls: object) -> bool:

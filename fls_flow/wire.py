@@ -10,16 +10,15 @@ its class accepts, and costs no memory beyond a small multiple of its own size.
 from __future__ import annotations
 
 import struct
-from itertools import islice
 from typing import Any, NamedTuple, TypeVar
 
-import msgpack
+import msgspec
 import numpy as np
 import numpy.typing as npt
 from xxhash import xxh3_64, xxh3_64_intdigest
 
-from fls_flow._codecs import Schema, Sink, Source, aligned, short
-from fls_flow._schemas import record
+from fls_flow._codecs import Schema, aligned, short
+from fls_flow._schemas import carrier
 from fls_flow.errors import WireError
 from fls_flow.messages import Message
 
@@ -42,8 +41,12 @@ MAGIC = b"FLSW"
 
 _OPENING = struct.Struct("<4sIQ")  # magic, version, checksum of all up to the end of the header
 _SIZES = struct.Struct("<IIQQ")  # flags, header size, buffer size, checksum of the payload
-_PREFIX = _OPENING.size + _SIZES.size
+_WHOLE = struct.Struct("<4sIQIIQQ")  # both
+_PREFIX = _WHOLE.size
 _PAYLOAD_CHECKED = 1
+
+_PACKER = msgspec.msgpack.Encoder()
+_UNPACKER = msgspec.msgpack.Decoder(list[bool | int | float | str])  # a container inside is refused unread
 
 Buffer = bytes | bytearray | memoryview
 M = TypeVar("M", bound=Message)
@@ -82,26 +85,33 @@ def decode(buffer: Buffer, message_type: type[M]) -> M:
     Arrays are aligned to 64 bytes if the buffer is. Raises WireError when the buffer is not whole and
     unaltered, or holds another type, another schema, or values that `message_type` refuses.
     """
-    view = _bytes(buffer)
-    head = _head(view)
-    items = _items(view, head)
-    expected = record(message_type)
-    _expect(expected.schema, items)
-    if head.flags & _PAYLOAD_CHECKED and xxh3_64_intdigest(view[head.end :]) != head.payload_sum:
-        raise WireError(f"{expected.name}: the payload's checksum differs; the buffer was altered on its way")
-    source = Source(view, items[2:], head.end)
+    view = _bytes(buffer).toreadonly()
+    end, checked, payload_sum = _head(view)
+    items = _items(view[_PREFIX:end])
+    expected = carrier(message_type)
+    rest = iter(items)
+    take = rest.__next__
+    if take() != expected.schema.name or take() != expected.schema.fingerprint:
+        raise _unexpected(expected.schema, items)
+    if checked and xxh3_64_intdigest(view[end:]) != payload_sum:
+        name = expected.schema.name
+        raise WireError(f"{name}: the payload's checksum differs; the buffer was altered on its way")
     try:
-        message: M = expected.read(source)
+        message, end = expected.read(take, view, end)
     except StopIteration:
         raise WireError("the header has too few items") from None
-    source.finish()
-    return message
+    if next(rest, None) is not None:
+        raise WireError("the header has too many items")
+    if end != len(view):
+        raise WireError(f"the arrays end at byte {end} of {len(view)}")
+    read: M = message
+    return read
 
 
 def peek(buffer: Buffer) -> Peek:
     """Type, seq and stamp of the message in `buffer`, its payload unread; WireError as for `decode`."""
     view = _bytes(buffer)
-    name, _, seq, stamp_ns = _items(view, _head(view), first=4)
+    name, _, seq, stamp_ns = _items(view[_PREFIX : _head(view)[0]])[:4]
     if type(name) is not str or type(seq) is not int or type(stamp_ns) is not int:
         raise WireError("the header does not begin with type, schema, seq and stamp_ns")
     return Peek(name, seq, stamp_ns)
@@ -109,7 +119,7 @@ def peek(buffer: Buffer) -> Peek:
 
 def schema(message_type: type) -> Schema:
     """The schema of a message class; WireError when the wire cannot carry it."""
-    return record(message_type).schema
+    return carrier(message_type).schema
 
 
 class Layout(NamedTuple):
@@ -124,13 +134,14 @@ class Layout(NamedTuple):
         end = _PREFIX + len(self.header)
         pieces: list[bytes | memoryview] = []
         for array, dtype, start in self.segments:
-            pieces.append(bytes(start - end))
-            pieces.append(np.ascontiguousarray(array, dtype).data)
+            pieces += (bytes(start - end), np.ascontiguousarray(array, dtype).data)
             end = start + array.nbytes
+        if not checksum:
+            return b"".join((self._prefix(None), *pieces))
         digest = xxh3_64()
-        for piece in pieces if checksum else ():
+        for piece in pieces:
             digest.update(piece)
-        return b"".join((self._prefix(digest.intdigest() if checksum else None), self.header, *pieces))
+        return b"".join((self._prefix(digest.intdigest()), *pieces))
 
     def write_into(self, buffer: bytearray | memoryview, *, checksum: bool = True) -> int:
         """Write the whole buffer to the start of `buffer`, and return its size."""
@@ -143,26 +154,26 @@ class Layout(NamedTuple):
             np.ndarray(array.shape, dtype, view, start)[...] = array
             end = start + array.nbytes
         payload_sum = xxh3_64_intdigest(view[start_of_payload:end]) if checksum else None
-        view[:start_of_payload] = self._prefix(payload_sum) + self.header
+        view[:start_of_payload] = self._prefix(payload_sum)
         return self.size
 
     def _prefix(self, payload_sum: int | None) -> bytes:
+        """All up to the payload."""
         flags = 0 if payload_sum is None else _PAYLOAD_CHECKED
-        sizes = _SIZES.pack(flags, len(self.header), self.size, payload_sum or 0)
-        return _OPENING.pack(MAGIC, VERSION, xxh3_64_intdigest(sizes + self.header)) + sizes
+        rest = _SIZES.pack(flags, len(self.header), self.size, payload_sum or 0) + self.header
+        return _OPENING.pack(MAGIC, VERSION, xxh3_64_intdigest(rest)) + rest
 
 
 def layout(message: Message) -> Layout:
     """The message laid out for writing; WireError when it cannot be carried."""
-    plan = record(type(message))
-    sink = Sink([plan.name, plan.schema.fingerprint], [])
-    plan.write(message, sink)
+    own = carrier(type(message))
+    items, arrays = own.write(message)
     try:
-        header: bytes = msgpack.packb(sink.items)
+        header = _PACKER.encode(items)
     except (ValueError, OverflowError, MemoryError) as error:
-        raise WireError(f"{plan.name} has a header that cannot be packed: {error}") from error
+        raise WireError(f"{own.schema.name} has a header that cannot be packed: {error}") from error
     end, segments = _PREFIX + len(header), []
-    for array, dtype in sink.arrays:
+    for array, dtype in arrays:
         start = aligned(end)
         segments.append((array, dtype, start))
         end = start + array.nbytes
@@ -176,22 +187,15 @@ def _bytes(buffer: Buffer) -> memoryview:
         raise WireError(f"{type(buffer).__name__} is no contiguous buffer of bytes: {error}") from error
 
 
-class _Head(NamedTuple):
-    flags: int
-    end: int  # of prefix and header
-    payload_sum: int
-
-
-def _head(view: memoryview) -> _Head:
-    """Prefix, checked as far as it reaches: magic, version, sizes, header checksum."""
+def _head(view: memoryview) -> tuple[int, bool, int]:
+    """Where the header ends, whether the payload has a checksum, and that; all is checked before."""
     if len(view) < _PREFIX:
         raise WireError(f"{len(view)} bytes are no message: the prefix alone has {_PREFIX}")
-    magic, version, head_sum = _OPENING.unpack_from(view)
+    magic, version, head_sum, flags, header_size, size, payload_sum = _WHOLE.unpack_from(view)
     if magic != MAGIC:
         raise WireError(f"the buffer begins with {magic!r}, not with {MAGIC!r}: it is no message")
     if version != VERSION:
         raise WireError(f"the buffer has wire version {version}, this is {VERSION}: update the older side")
-    flags, header_size, size, payload_sum = _SIZES.unpack_from(view, _OPENING.size)
     if size != len(view):
         raise WireError(f"the buffer has {len(view)} bytes, its prefix says {size}: it is cut or joined")
     end = _PREFIX + header_size
@@ -199,36 +203,40 @@ def _head(view: memoryview) -> _Head:
         raise WireError("the header's checksum differs; the buffer was altered on its way")
     if flags & ~_PAYLOAD_CHECKED or (payload_sum and not flags):
         raise WireError(f"flags {flags:#x} are not known to wire version {VERSION}")
-    return _Head(flags, end, payload_sum)
+    return end, flags == _PAYLOAD_CHECKED, payload_sum
 
 
-def _items(view: memoryview, head: _Head, first: int | None = None) -> list[Any]:
-    """All items of the header, or only the `first`; the header is one flat array of scalars."""
-    header = view[_PREFIX : head.end]
-    # Containers inside the header are refused before msgpack makes room for what they claim to hold.
-    limits = dict.fromkeys(("max_array_len", "max_map_len", "max_bin_len", "max_ext_len"), 0)
-    size = max(len(header), 1)
-    unpacker = msgpack.Unpacker(None, read_size=size, max_buffer_size=size, strict_map_key=True, **limits)
-    try:
-        unpacker.feed(header)
-        count = unpacker.read_array_header()
-        items = list(islice(unpacker, count if first is None else first))
-    except Exception as error:  # whatever msgpack finds wrong, of whichever class
-        raise WireError(f"the header cannot be unpacked: {error}") from error
-    if len(items) != (first or count) or count < 4 or (first is None and unpacker.tell() != len(header)):
+def _items(header: memoryview) -> list[Any]:
+    """The items of the header, which is one flat array of at least four scalars."""
+    count = _count(header)
+    if not 4 <= count <= len(header):  # before room is made for what it claims to hold
         raise WireError(f"the header does not hold the {count} items that it says")
+    try:
+        items: list[Any] = _UNPACKER.decode(header)
+    except (ValueError, RecursionError) as error:
+        raise WireError(f"the header cannot be unpacked: {error}") from error
     return items
 
 
-def _expect(expected: Schema, items: list[Any]) -> None:
+def _count(header: memoryview) -> int:
+    """How many items a msgpack array says that it has."""
+    first = header[0] if header else 0
+    if first >> 4 == 0x9:
+        return first & 0xF
+    if first not in (0xDC, 0xDD):
+        raise WireError("the header cannot be unpacked: it is no array")
+    return int.from_bytes(header[1 : 3 if first == 0xDC else 5], "big")
+
+
+def _unexpected(expected: Schema, items: list[Any]) -> WireError:
+    """What to say of a buffer that holds something else."""
     name, fingerprint = items[0], items[1]
     if name != expected.name:
-        raise WireError(f"the buffer holds {short(name)}, not the expected {expected.name}")
-    if fingerprint != expected.fingerprint:
-        raise WireError(
-            f"the buffer holds {name} with schema {_hex(fingerprint)}, expected is {name} with schema "
-            f"{_hex(expected.fingerprint)}: sender and receiver have different versions of the class"
-        )
+        return WireError(f"the buffer holds {short(name)}, not the expected {expected.name}")
+    return WireError(
+        f"the buffer holds {name} with schema {_hex(fingerprint)}, expected is {name} with schema "
+        f"{_hex(expected.fingerprint)}: sender and receiver have different versions of the class"
+    )
 
 
 def _hex(fingerprint: Any) -> str:

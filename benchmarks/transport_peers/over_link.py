@@ -1,7 +1,7 @@
-"""fls_flow's own link: messages of `wire` in shared memory, numbered and acknowledged, a window of eight.
+"""fls_flow's own link: messages of `wire` in shared memory, numbered and acknowledged, within a window.
 
 Two processes of one graph, without the runtime around them: the source starts a message when the sink has
-finished the one eight before it.
+finished the one eight before it, or as many as the variant says ("tcp-32").
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from fls_flow.links.zenoh import ZenohLink
 from fls_flow.messages import Sealed
 
 __all__ = [
-    "WINDOW",
     "Array",
     "Block",
     "Taker",
@@ -36,10 +35,8 @@ __all__ = [
     "receive",
     "send",
     "subscribe",
+    "window",
 ]
-
-WINDOW = 8
-
 
 @dataclass(frozen=True, eq=False)
 class Block(Sealed):
@@ -85,7 +82,7 @@ def publish(opened: zenoh.Session, setting: Setting) -> None:
         if isinstance(item, float):
             time.sleep(item)
             continue
-        while min(finished.values()) < index - WINDOW:
+        while min(finished.values()) < index - window(setting):
             found = inbox.get(0.5)
             if isinstance(found, Finished):
                 finished[found.node] = found.index
@@ -123,6 +120,11 @@ def subscribe(opened: zenoh.Session, setting: Setting, tally: Tally) -> None:
     own.close()
 
 
+def window(setting: Setting) -> int:
+    """How many messages may be in flight; by default as many as in a replay."""
+    return int(setting.variant.partition("-")[2] or 8)
+
+
 def _takers(setting: Setting) -> tuple[str, ...]:
     return tuple(f"taker-{index}" for index in range(setting.readers))
 
@@ -145,7 +147,7 @@ def link(opened: zenoh.Session, setting: Setting, process: str) -> ZenohLink:
         dict(zip(everywhere, everywhere, strict=True)), dict.fromkeys(everywhere, "here"), takers
     )
     prefix, arena = f"fls/{setting.key}", f"fls-{setting.key}-{process}"
-    return ZenohLink(opened, prefix, graph(setting), placement, process, WINDOW, failed, arena)
+    return ZenohLink(opened, prefix, graph(setting), placement, process, window(setting), failed, arena)
 
 
 def failed(error: Exception) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-import msgpack
+import msgspec
 import numpy as np
 import zenoh
 
@@ -36,7 +36,7 @@ def publish(opened: zenoh.Session, setting: Setting) -> None:
             else:
                 slot = _slot(arena, item.size, (1 << setting.readers) - 1)
                 np.copyto(np.frombuffer(slot.view, np.uint8), item)
-                declared.put(b"D" + msgpack.packb(slot.descriptor))
+                declared.put(b"D" + msgspec.msgpack.encode(slot.descriptor))
     finally:
         arena.close()
 
@@ -64,7 +64,7 @@ def subscribe(opened: zenoh.Session, setting: Setting, tally: Tally) -> None:
     def array(payload: bytes) -> Bytes:
         if payload[:1] == b"B":
             return np.frombuffer(payload, np.uint8, offset=1)
-        return window.open(Descriptor(*msgpack.unpackb(payload[1:])), tally.index)
+        return window.open(Descriptor(*msgspec.msgpack.decode(payload[1:])), tally.index)
 
     subscriber = opened.declare_subscriber(setting.key, zenoh.handlers.FifoChannel(256))
     setting.ready(tally.index)

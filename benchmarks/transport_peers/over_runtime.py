@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.transport_peers.over_link import WINDOW, Array, Block, Taker, failed, graph, link
+from benchmarks.transport_peers.over_link import Array, Block, Taker, failed, graph, link, window
 from benchmarks.transport_peers.over_zenoh import session
 from benchmarks.transport_peers.rig import Setting, Tally
 from fls_flow.runtime.run import Options, Pace, Run, Share
@@ -58,7 +58,7 @@ def _host(setting: Setting, name: str, instance: Any, met: Callable[[], None], *
     with session(setting, listen=listen) as opened, tempfile.TemporaryDirectory() as out:
         own = link(opened, setting, name)
         takers = tuple(f"taker-{index}" for index in range(setting.readers))
-        share = Share(frozenset({name}), own, Pace(WINDOW, False), failed, takers)
+        share = Share(frozenset({name}), own, Pace(window(setting), False), failed, takers)
         run = Run(graph(setting), Options(), out=Path(out), instances={name: instance}, share=share)
         while own.unmatched():
             time.sleep(0.005)

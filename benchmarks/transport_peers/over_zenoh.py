@@ -28,7 +28,7 @@ def session(setting: Setting, listen: bool) -> zenoh.Session:
         "scouting/multicast/enabled": False,
         "transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000,
     }
-    if setting.variant == "tcp":
+    if setting.variant.startswith("tcp"):
         values["transport/shared_memory/enabled"] = False
     for key, value in values.items():
         config.insert_json5(key, json.dumps(value))

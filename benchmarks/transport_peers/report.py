@@ -63,7 +63,7 @@ def goals_table(sizes: Sequence[str], results: Results) -> Table:
     table = Table(title="goals")
     for column in ("ours", "against", "size", "what", "goal", "seen", ""):
         table.add_column(column)
-    for ours in (name for name in ("ring", "link") if name in results):
+    for ours in (name for name in ("ring", "link", "link-32") if name in results):
         for against, size, what, bound in _goals(sizes):
             step = 2 * sizes.index(size)
             if what == "p50":

@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Delivery:
     """The value of a port for the firing `index`."""
 
@@ -33,7 +33,7 @@ class Delivery:
     message: Message
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class End:
     """Nothing comes on a port after firing `last`; -1: nothing at all."""
 
@@ -41,7 +41,7 @@ class End:
     last: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Sample:
     """One message of a stream; streams have no index."""
 
@@ -67,14 +67,14 @@ class Coming:
         return Delivery(self.port, self.index, self.message())
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class SamplesEnd:
     """A stream has ended."""
 
     port: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Finished:
     """Node `node` is done with firing `index`: it moves the window."""
 
@@ -82,19 +82,19 @@ class Finished:
     index: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Started:
     """The clock has started a ping: streams may run up to its stamp."""
 
     stamp_ns: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ClockEnd:
     """The clock has started its last ping."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Wake:
     """Something outside the link has changed: look again."""
 

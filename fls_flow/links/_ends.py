@@ -80,12 +80,18 @@ class Report:
 
 
 class Arrived:
-    """A message as it travelled; the first of its takers opens it for all."""
+    """A message as it travelled; the first of its takers opens it for all, under `lock`."""
 
-    def __init__(self, held: bytes | Callable[[], npt.NDArray[np.uint8]], message_type: type[Any]) -> None:
-        self._held, self._type = held, message_type
+    __slots__ = ("_held", "_lock", "_message", "_type")
+
+    def __init__(
+        self,
+        held: bytes | Callable[[], npt.NDArray[np.uint8]],
+        message_type: type[Any],
+        lock: threading.Lock,
+    ) -> None:
+        self._held, self._type, self._lock = held, message_type, lock
         self._message: Message | None = None
-        self._lock = threading.Lock()
 
     def __call__(self) -> Message:
         """The message; raises LinkError or WireError when it cannot be read."""

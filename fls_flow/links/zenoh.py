@@ -20,13 +20,14 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
-import msgpack
+import msgspec
 import zenoh
 
 from fls_flow import wire
 from fls_flow.errors import LinkError
 from fls_flow.graph import Graph
 from fls_flow.links import ClockEnd, Finished, Inbox, Started
+from fls_flow.links._callbacks import Kept
 from fls_flow.links._ends import (
     CLOCK_END,
     DELIVERY,
@@ -50,6 +51,8 @@ __all__ = ["ZenohLink"]
 log = logging.getLogger(__name__)
 
 SHARED_FROM = 128 << 10  # bytes; below that, a copy costs less than a lease
+_PACKER, _UNPACKER = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(list[Any])
+
 ANSWER_S = 0.02  # how long acknowledgements are gathered: they free memory, nothing waits for them
 
 
@@ -90,6 +93,7 @@ class ZenohLink:
             for node in placement.holders
             if node in self._nodes and isinstance(inbox := self._local.inbox(node), MemoryInbox)
         }
+        self._kept_threads = Kept()
         self._closing = threading.Event()
         self._declared: list[Any] = []
         self._declare()
@@ -246,18 +250,18 @@ class ZenohLink:
             self._answers[giver] = publisher
             self._declared.append(publisher)
 
-        def deliver(packet: Packet) -> None:
-            if route is None:
-                self._take_control(packet)
-            else:
-                self._take_data(route, packet, reader)
-
-        inlet = Inlet(giver, Receiver(deliver))
+        opening = threading.Lock()
+        if route is None:
+            inlet = Inlet(giver, Receiver(self._take_control))
+        else:
+            inlet = Inlet(
+                giver, Receiver(partial(self._take_data, route, self._types[route[:2]], reader, opening))
+            )
         self._receivers[key] = inlet
         self._subscribe(key, lambda sample: self._arrived(key, inlet, sample))
 
     def _subscribe(self, key: str, callback: Callable[[zenoh.Sample], None]) -> None:
-        handler = zenoh.handlers.Callback(callback, indirect=False)
+        handler = zenoh.handlers.Callback(self._kept_threads(callback), indirect=False)
         self._declared.append(self._session.declare_subscriber(f"{self._prefix}/{key}", handler))
 
     # --- out -------------------------------------------------------------------------------------
@@ -305,13 +309,20 @@ class ZenohLink:
         except Exception as error:
             self._failed(error if isinstance(error, LinkError) else LinkError(f"{key}: {error!r}"))
 
-    def _take_data(self, route: tuple[str, str, bool], packet: Packet, reader: int) -> None:
+    def _take_data(
+        self,
+        route: tuple[str, str, bool],
+        message_type: type[Any],
+        reader: int,
+        opening: threading.Lock,
+        packet: Packet,
+    ) -> None:
         kind, number, *place = packet.header
         if kind == END:
             self._local.deliver_end(route, number)
             return
         held = partial(self._shared.open, Descriptor(*place), reader) if place else packet.payload
-        arrived = Arrived(held, self._types[route[:2]])
+        arrived = Arrived(held, message_type, opening)
         self._local.deliver_coming(route, number if kind == DELIVERY else None, arrived)
 
     def _take_control(self, packet: Packet) -> None:
@@ -344,7 +355,7 @@ class ZenohLink:
             self._tell(giver, [self._process, "has", streams])
 
     def _tell(self, giver: str, answer: list[Any]) -> None:
-        self._answers[giver].put(b"", attachment=msgpack.packb(answer))
+        self._answers[giver].put(b"", attachment=_PACKER.encode(answer))
 
     def _answered(self, sample: zenoh.Sample) -> None:
         try:
@@ -360,7 +371,7 @@ class ZenohLink:
 
 
 def _put(publisher: zenoh.Publisher, packet: Packet) -> None:
-    publisher.put(packet.payload, attachment=msgpack.packb((packet.number, *packet.header)))
+    publisher.put(packet.payload, attachment=_PACKER.encode((packet.number, *packet.header)))
 
 
 def _matched(publisher: zenoh.Publisher) -> bool:
@@ -372,10 +383,7 @@ def _attached(sample: zenoh.Sample) -> list[Any]:
     attachment = sample.attachment
     if attachment is None:
         raise LinkError(f"{sample.key_expr}: a message without its header")
-    header = msgpack.unpackb(attachment.to_bytes())
-    if not isinstance(header, list):
-        raise LinkError(f"{sample.key_expr}: a header that is no list")
-    return header
+    return _UNPACKER.decode(attachment.to_bytes())
 
 
 def _data_key(node: str, port: str, host: str | None) -> str:
