@@ -377,10 +377,12 @@ class Supervisor:
             if child.report is not None:
                 counts |= {name: NodeCounts.of_summary(one) for name, one in child.report["counts"].items()}
                 taken |= child.report["samples_taken"]
+            else:  # it died: what it said last
+                counts |= {name: NodeCounts(fired=fired) for name, fired in child.fired.items()}
         here = [name for name in self.deployment.holders(self.graph) if name in counts]
         if not here and status == "finished" and self._error is None:  # all that was started went through
             here = [name for name in counts if name not in self.graph.streams]
-        pings = min((counts[name].fired for name in here), default=self._pings)
+        pings = max(min((counts[name].fired for name in here), default=0), self._pings)
         self._on_finished(pings)
         after = 0.0 if self._first is None else self._watched - self._first
         return Report("failed" if self._error else status, pings, seconds, counts, taken, self._error, after)

@@ -161,7 +161,8 @@ def test_in_process_as_processes_and_grouped_give_the_same_bytes(name, place, st
     ways = {"here": ["--in-process"], "processes": [], "grouped": ["--deploy", "two.yaml"]}
     for way, words in ways.items():
         code, _, err = ended(
-            start("all.yaml", "--out", way, "--set", f"{graph.clock}.pings={PINGS.get(name, 25)}", *words)
+            start("all.yaml", "--out", way, "--set", f"{graph.clock}.pings={PINGS.get(name, 25)}", *words),
+            timeout_s=150.0,  # the first time it compiles, perhaps on a busy machine
         )
         assert code == 0, err
     files = sorted(path.name for path in (place / "here").glob("*") if path.suffix in (".csv", ".bin"))
@@ -270,7 +271,9 @@ def test_a_process_that_dies_is_named(place, start, victim):
     assert f"process '{victim}' with node '{victim}'" in errors[0]
     assert "died (signal 9: SIGKILL)" in errors[0]
     assert rows(place / "o" / "detections.csv")
-    assert json.loads((place / "o" / "run.json").read_text())["status"] == "failed"
+    record = json.loads((place / "o" / "run.json").read_text())
+    assert record["status"] == "failed"
+    assert record["pings"] > 0  # also when the process that counts them is the one that died
 
 
 def test_a_process_that_hangs_is_named(place, start):
