@@ -258,7 +258,7 @@ class ZenohLink:
                 giver, Receiver(partial(self._take_data, route, self._types[route[:2]], reader, opening))
             )
         self._receivers[key] = inlet
-        self._subscribe(key, lambda sample: self._arrived(key, inlet, sample))
+        self._subscribe(key, partial(self._arrived, key, inlet))
 
     def _subscribe(self, key: str, callback: Callable[[zenoh.Sample], None]) -> None:
         handler = zenoh.handlers.Callback(self._kept_threads(callback), indirect=False)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,41 +14,96 @@ from fls_detectors.reference import NO_FLAGS, Flags, Window
 from fls_flow import BeamMask, Detections, Ping, Tracks, TrackStatus, Wakes, geometry
 from fls_flow.kernels import frozen
 
-__all__ = [
-    "CfarSettings",
-    "beam_scale",
-    "cell_flags_of",
-    "check_settings",
-    "detections_of",
-    "empty",
-    "quantum",
-    "window_of",
-]
+__all__ = ["CfarNode"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 log = logging.getLogger(__name__)
 
 
-class CfarSettings(Protocol):
-    """The parameters that all CFAR nodes have; what they mean stands in `rayleigh_cfar.RayleighCfar`."""
+@dataclass
+class CfarNode:
+    """The parameters of all CFAR nodes, which `rayleigh-cfar` describes, and what they do alike with a ping.
 
-    pfa: float
-    guard_m: float
-    guard_beams: int
-    reference_m: float
-    max_ref: int
-    min_ref: int
-    widen_m: float
-    gate: float
-    gate_radius_m: float
-    gate_limit_m: float
-    floor: float | None
-    threshold_scale: float | tuple[float, ...]
-    max_detections: int
+    A kind adds its statistic: `_hits`, and `_ratio` for those who calibrate it. Both are given the reference
+    window and `_options`.
+    """
+
+    pfa: float = 1e-6
+    guard_m: float = 1.0
+    guard_beams: int = 1
+    reference_m: float = 2.0
+    max_ref: int = 48
+    min_ref: int = 8
+    widen_m: float = 20.0
+    gate: float = 4.0  # squared Mahalanobis distance that bounds the ellipse around a track
+    gate_radius_m: float = 2.0  # its half-axes are at least
+    gate_limit_m: float = 10.0  # and at most this long: an uncertain track must not blind the detector
+    floor: float | None = None
+    threshold_scale: float | tuple[float, ...] = 1.0
+    max_detections: int = 20_000  # the strongest are kept
+    _warned: bool = field(default=False, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    def __call__(
+        self,
+        ping: Ping,
+        noisy: BeamMask | None = None,
+        wakes: Wakes | None = None,
+        tracks: Tracks | None = None,
+    ) -> Detections:
+        """The detections of one ping."""
+        if _empty(ping):
+            return Detections.of(ping, range_m=[], bearing_rad=[], amplitude=[])
+        options = self._options(ping, noisy, wakes, tracks)
+        scale = _beam_scale(self, ping.bearing_rad.size)
+        hits = self._hits(ping.amplitude, _window_of(self, ping.cell_m), scale=scale, **options)
+        found, self._warned = _detections_of(ping, hits, self.max_detections, warned=self._warned)
+        return found
+
+    def threshold_ratio(
+        self,
+        ping: Ping,
+        noisy: BeamMask | None = None,
+        wakes: Wakes | None = None,
+        tracks: Tracks | None = None,
+    ) -> FloatArray:
+        """Amplitude over threshold (n_ranges, n_beams) with scale 1, nan where nothing is decided."""
+        if _empty(ping):
+            return np.full(ping.amplitude.shape, np.nan)
+        options = self._options(ping, noisy, wakes, tracks)
+        return self._ratio(ping.amplitude, _window_of(self, ping.cell_m), **options)
+
+    def _hits(self, amplitude: npt.NDArray[Any], window: Window, **options: Any) -> BoolArray:
+        """Which cells (n_ranges, n_beams) exceed their threshold."""
+        raise NotImplementedError
+
+    def _ratio(self, amplitude: npt.NDArray[Any], window: Window, **options: Any) -> FloatArray:
+        """Amplitude over threshold with scale 1."""
+        raise NotImplementedError
+
+    def _options(
+        self, ping: Ping, noisy: BeamMask | None, wakes: Wakes | None, tracks: Tracks | None
+    ) -> dict[str, Any]:
+        return {
+            "pfa": self.pfa,
+            "min_ref": self.min_ref,
+            "floor": _quantum(self, ping),
+            "flags": _cell_flags_of(self, ping, noisy, wakes, tracks),
+        }
+
+    def snapshot(self) -> dict[str, Any]:
+        """Whether the user has been warned."""
+        return {"warned": self._warned}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a snapshot."""
+        self._warned = bool(state["warned"])
 
 
-def check_settings(settings: CfarSettings) -> None:
+def _check(settings: CfarNode) -> None:
     """Raise ValueError for a value that cannot be meant."""
     if not 0.0 < settings.pfa < 1.0:
         raise ValueError(f"pfa must lie between 0 and 1, not {settings.pfa}")
@@ -75,7 +131,7 @@ def check_settings(settings: CfarSettings) -> None:
         raise ValueError(f"max_detections must be at least 1, not {settings.max_detections}")
 
 
-def window_of(settings: CfarSettings, cell_m: float) -> Window:
+def _window_of(settings: CfarNode, cell_m: float) -> Window:
     """The reference window for range cells of `cell_m`."""
     return Window.of(
         cell_m,
@@ -87,7 +143,7 @@ def window_of(settings: CfarSettings, cell_m: float) -> Window:
     )
 
 
-def beam_scale(settings: CfarSettings, n_beams: int) -> FloatArray:
+def _beam_scale(settings: CfarNode, n_beams: int) -> FloatArray:
     """(n_beams,) factors of the threshold; ValueError when there are others than the ping's beams."""
     scale = np.asarray(settings.threshold_scale, float)
     if scale.ndim and scale.size != n_beams:
@@ -95,20 +151,20 @@ def beam_scale(settings: CfarSettings, n_beams: int) -> FloatArray:
     return np.broadcast_to(scale, (n_beams,))
 
 
-def quantum(settings: CfarSettings, ping: Ping) -> float:
+def _quantum(settings: CfarNode, ping: Ping) -> float:
     """Amplitudes below it are not told from zero: `floor`, or one step of integers."""
     if settings.floor is not None:
         return settings.floor
     return 1.0 if np.issubdtype(ping.amplitude.dtype, np.integer) else 0.0
 
 
-def empty(ping: Ping) -> bool:
+def _empty(ping: Ping) -> bool:
     """Whether the ping has too few cells for any decision."""
     return ping.range_m.size < 2 or not ping.bearing_rad.size
 
 
-def cell_flags_of(
-    settings: CfarSettings,
+def _cell_flags_of(
+    settings: CfarNode,
     ping: Ping,
     noisy: BeamMask | None,
     wakes: Wakes | None,
@@ -134,7 +190,7 @@ def cell_flags_of(
     return cell_flags(ping.amplitude, marks, beams, ping.valid)
 
 
-def _gates(settings: CfarSettings, ping: Ping, tracks: Tracks | None) -> tuple[FloatArray, FloatArray]:
+def _gates(settings: CfarNode, ping: Ping, tracks: Tracks | None) -> tuple[FloatArray, FloatArray]:
     """Centres and shapes of the gates of living tracks, at the time and in the frame of the ping."""
     if tracks is None or not len(tracks):
         return np.zeros((0, 2)), np.zeros((0, 2, 2))
@@ -162,7 +218,7 @@ def _knows_pose(ping: Ping) -> bool:
     return nav is not None and bool(np.isfinite([*nav.position_m[:2], nav.attitude_rad[2]]).all())
 
 
-def detections_of(ping: Ping, hits: BoolArray, most: int, *, warned: bool) -> tuple[Detections, bool]:
+def _detections_of(ping: Ping, hits: BoolArray, most: int, *, warned: bool) -> tuple[Detections, bool]:
     """A detection per hit, in order of range, then beam; of more than `most` the strongest.
 
     Also whether the user has been told by now that some were left out; that is said once.

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from fls_detectors.cfar_ping import (
-    beam_scale,
-    cell_flags_of,
-    check_settings,
-    detections_of,
-    empty,
-    quantum,
-    window_of,
-)
+from fls_detectors.cfar_ping import CfarNode
 from fls_detectors.log_factors import FEWEST, HIGHEST_PFA, LOWEST_PFA
 from fls_detectors.log_statistic import Clutter, log_hits, log_ratio
-from fls_flow import BeamMask, Detections, Ping, Tracks, Wakes, hookimpl
+from fls_detectors.reference import Window
+from fls_flow import hookimpl
 
 __all__ = ["LogCfar"]
 
 
 @dataclass
-class LogCfar:
+class LogCfar(CfarNode):
     """One detection per cell with x > c max(exp(m + t s), floor sqrt(-ln pfa)), in order of range, then beam.
 
     m and s are mean and standard deviation of ln max(x_j, floor) over the J reference cells, and t(J) the
@@ -43,24 +36,10 @@ class LogCfar:
     Source: Goldstein 1973; reference window and widening are ours.
     """
 
-    pfa: float = 1e-6
     clutter: Clutter = "weibull"
-    guard_m: float = 1.0
-    guard_beams: int = 1
-    reference_m: float = 2.0
-    max_ref: int = 48
-    min_ref: int = 8
-    widen_m: float = 20.0
-    gate: float = 4.0  # squared Mahalanobis distance that bounds the ellipse around a track
-    gate_radius_m: float = 2.0  # its half-axes are at least
-    gate_limit_m: float = 10.0  # and at most this long: an uncertain track must not blind the detector
-    floor: float | None = None
-    threshold_scale: float | tuple[float, ...] = 1.0
-    max_detections: int = 20_000  # the strongest are kept
-    _warned: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        super().__post_init__()
         if self.clutter not in ("weibull", "lognormal"):
             raise ValueError(f"clutter must be weibull or lognormal, not {self.clutter!r}")
         if not LOWEST_PFA <= self.pfa <= HIGHEST_PFA:
@@ -68,56 +47,11 @@ class LogCfar:
         if self.min_ref < FEWEST:
             raise ValueError(f"min_ref must be at least {FEWEST} here, not {self.min_ref}")
 
-    def __call__(
-        self,
-        ping: Ping,
-        noisy: BeamMask | None = None,
-        wakes: Wakes | None = None,
-        tracks: Tracks | None = None,
-    ) -> Detections:
-        """The detections of one ping."""
-        if empty(ping):
-            return Detections.of(ping, range_m=[], bearing_rad=[], amplitude=[])
-        hits = log_hits(
-            ping.amplitude,
-            window_of(self, ping.cell_m),
-            **self._options(ping, noisy, wakes, tracks),
-            scale=beam_scale(self, ping.bearing_rad.size),
-        )
-        found, self._warned = detections_of(ping, hits, self.max_detections, warned=self._warned)
-        return found
+    def _hits(self, amplitude: npt.NDArray[Any], window: Window, **options: Any) -> npt.NDArray[np.bool_]:
+        return log_hits(amplitude, window, clutter=self.clutter, **options)
 
-    def threshold_ratio(
-        self,
-        ping: Ping,
-        noisy: BeamMask | None = None,
-        wakes: Wakes | None = None,
-        tracks: Tracks | None = None,
-    ) -> npt.NDArray[np.float64]:
-        """Amplitude over threshold (n_ranges, n_beams) with scale 1, nan where nothing is decided."""
-        if empty(ping):
-            return np.full(ping.amplitude.shape, np.nan)
-        options = self._options(ping, noisy, wakes, tracks)
-        return log_ratio(ping.amplitude, window_of(self, ping.cell_m), **options)
-
-    def _options(
-        self, ping: Ping, noisy: BeamMask | None, wakes: Wakes | None, tracks: Tracks | None
-    ) -> dict[str, Any]:
-        return {
-            "pfa": self.pfa,
-            "clutter": self.clutter,
-            "min_ref": self.min_ref,
-            "floor": quantum(self, ping),
-            "flags": cell_flags_of(self, ping, noisy, wakes, tracks),
-        }
-
-    def snapshot(self) -> dict[str, Any]:
-        """Whether the user has been warned."""
-        return {"warned": self._warned}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a snapshot."""
-        self._warned = bool(state["warned"])
+    def _ratio(self, amplitude: npt.NDArray[Any], window: Window, **options: Any) -> npt.NDArray[np.float64]:
+        return log_ratio(amplitude, window, clutter=self.clutter, **options)
 
 
 @hookimpl

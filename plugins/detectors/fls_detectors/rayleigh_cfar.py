@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fls_detectors.cfar import rayleigh_hits
-from fls_detectors.cfar_ping import (
-    beam_scale,
-    cell_flags_of,
-    check_settings,
-    detections_of,
-    empty,
-    quantum,
-    window_of,
-)
+from fls_detectors.cfar_ping import CfarNode
 from fls_detectors.cfar_ratio import rayleigh_ratio
-from fls_flow import BeamMask, Detections, Ping, Tracks, Wakes, hookimpl
+from fls_detectors.reference import Window
+from fls_flow import hookimpl
 
 __all__ = ["RayleighCfar"]
 
 
 @dataclass
-class RayleighCfar:
+class RayleighCfar(CfarNode):
     """One detection per cell with x > c sqrt((pfa^(-1/J) - 1) sum_j x_j^2), in order of range, then beam.
 
     c is `threshold_scale`, one number or one per beam: `fls-flow calibrate` finds it. The J reference cells
@@ -48,73 +41,11 @@ class RayleighCfar:
     Source: Karoui 2015, III-B and (4); reference window and widening are ours.
     """
 
-    pfa: float = 1e-6
-    guard_m: float = 1.0
-    guard_beams: int = 1
-    reference_m: float = 2.0
-    max_ref: int = 48
-    min_ref: int = 8
-    widen_m: float = 20.0
-    gate: float = 4.0  # squared Mahalanobis distance that bounds the ellipse around a track
-    gate_radius_m: float = 2.0  # its half-axes are at least
-    gate_limit_m: float = 10.0  # and at most this long: an uncertain track must not blind the detector
-    floor: float | None = None
-    threshold_scale: float | tuple[float, ...] = 1.0
-    max_detections: int = 20_000  # the strongest are kept
-    _warned: bool = field(default=False, init=False, repr=False)
+    def _hits(self, amplitude: npt.NDArray[Any], window: Window, **options: Any) -> npt.NDArray[np.bool_]:
+        return rayleigh_hits(amplitude, window, **options)
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-    def __call__(
-        self,
-        ping: Ping,
-        noisy: BeamMask | None = None,
-        wakes: Wakes | None = None,
-        tracks: Tracks | None = None,
-    ) -> Detections:
-        """The detections of one ping."""
-        if empty(ping):
-            return Detections.of(ping, range_m=[], bearing_rad=[], amplitude=[])
-        hits = rayleigh_hits(
-            ping.amplitude,
-            window_of(self, ping.cell_m),
-            **self._options(ping, noisy, wakes, tracks),
-            scale=beam_scale(self, ping.bearing_rad.size),
-        )
-        found, self._warned = detections_of(ping, hits, self.max_detections, warned=self._warned)
-        return found
-
-    def threshold_ratio(
-        self,
-        ping: Ping,
-        noisy: BeamMask | None = None,
-        wakes: Wakes | None = None,
-        tracks: Tracks | None = None,
-    ) -> npt.NDArray[np.float64]:
-        """Amplitude over threshold (n_ranges, n_beams) with scale 1, nan where nothing is decided."""
-        if empty(ping):
-            return np.full(ping.amplitude.shape, np.nan)
-        options = self._options(ping, noisy, wakes, tracks)
-        return rayleigh_ratio(ping.amplitude, window_of(self, ping.cell_m), **options)
-
-    def _options(
-        self, ping: Ping, noisy: BeamMask | None, wakes: Wakes | None, tracks: Tracks | None
-    ) -> dict[str, Any]:
-        return {
-            "pfa": self.pfa,
-            "min_ref": self.min_ref,
-            "floor": quantum(self, ping),
-            "flags": cell_flags_of(self, ping, noisy, wakes, tracks),
-        }
-
-    def snapshot(self) -> dict[str, Any]:
-        """Whether the user has been warned."""
-        return {"warned": self._warned}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a snapshot."""
-        self._warned = bool(state["warned"])
+    def _ratio(self, amplitude: npt.NDArray[Any], window: Window, **options: Any) -> npt.NDArray[np.float64]:
+        return rayleigh_ratio(amplitude, window, **options)
 
 
 @hookimpl
