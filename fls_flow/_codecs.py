@@ -10,7 +10,7 @@ import enum
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, NoReturn, Protocol
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -25,13 +25,12 @@ __all__ = [
     "Codec",
     "Many",
     "Optional",
-    "Record",
     "Scalar",
-    "Schema",
     "Tuple",
     "Writer",
     "aligned",
     "short",
+    "unfit",
 ]
 
 ALIGNMENT = 64  # a cache line, and more than any SIMD load asks for
@@ -40,14 +39,6 @@ DTYPES = {
     code: np.dtype("<" + code)
     for code in ("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8", "c8", "c16")
 }
-
-
-class Schema(NamedTuple):
-    """How a message class is carried: two classes with equal schemas read each other's buffers."""
-
-    name: str  # top-level package and class
-    fingerprint: int  # of `text`
-    text: str
 
 
 class Codec(Protocol):
@@ -89,7 +80,8 @@ class Writer(Code):
             self._pending.clear()
 
 
-def _refuse(where: str, value: Any, wanted: str) -> NoReturn:
+def unfit(where: str, value: Any, wanted: str) -> NoReturn:
+    """Raise WireError: what the field `where` holds, and what it takes instead."""
     raise WireError(f"{where} is {short(value)} ({type(value).__name__}); it takes {wanted}")
 
 
@@ -119,7 +111,7 @@ class Scalar:
 
     def refuse(self, value: Any) -> NoReturn:
         """Say what it takes instead."""
-        _refuse(self.where, value, self.text)
+        unfit(self.where, value, self.text)
 
     def exactly(self, value: Any) -> Any:
         """The value as exactly this kind; WireError for what cannot be one."""
@@ -133,9 +125,9 @@ class Scalar:
             except OverflowError as error:
                 raise WireError(f"{self.where} is {short(value)}: {error}") from error
         if self.kind is int and not -(2**63) <= value < 2**64:
-            _refuse(self.where, value, "integers of 64 bits")
+            unfit(self.where, value, "integers of 64 bits")
         if self.kind is str and any("\ud800" <= c <= "\udfff" for c in value):
-            _refuse(self.where, value, "text that UTF-8 can hold")
+            unfit(self.where, value, "text that UTF-8 can hold")
         return value
 
 
@@ -177,7 +169,7 @@ class Choice:
     def option(self, plain: Any) -> Any:
         """The value that `plain` stands for."""
         if not isinstance(plain, int | str) or plain not in self.options:
-            _refuse(self.where, plain, self.text)
+            unfit(self.where, plain, self.text)
         return self.options[plain]
 
 
@@ -238,7 +230,7 @@ class Tuple:
 
     def refuse(self, value: Any) -> NoReturn:
         """Say what it takes instead."""
-        _refuse(self.where, value, f"a tuple {self.text}")
+        unfit(self.where, value, f"a tuple {self.text}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,11 +267,11 @@ class Many:
 
     def refuse(self, value: Any) -> NoReturn:
         """Say what it takes instead."""
-        _refuse(self.where, value, f"a tuple {self.text}")
+        unfit(self.where, value, f"a tuple {self.text}")
 
     def refuse_length(self, length: Any) -> NoReturn:
         """Say what it takes instead."""
-        _refuse(self.where, length, "a number of entries")
+        unfit(self.where, length, "a number of entries")
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,15 +317,15 @@ class Array:
         code, ndim = take(), take()
         dtype = self.dtypes.get(code) if type(code) is str else None
         if dtype is None:
-            _refuse(self.where, code, f"dtype {', '.join(self.dtypes)}")
+            unfit(self.where, code, f"dtype {', '.join(self.dtypes)}")
         if type(ndim) is not int or not 0 <= ndim <= _MAX_NDIM:
-            _refuse(self.where, ndim, f"0 to {_MAX_NDIM} dimensions")
+            unfit(self.where, ndim, f"0 to {_MAX_NDIM} dimensions")
         shape: list[int] = []
         count = 1
         for _ in range(ndim):
             length = take()
             if type(length) is not int or length < 0:
-                _refuse(self.where, (*shape, length), "lengths as its shape")
+                unfit(self.where, (*shape, length), "lengths as its shape")
             shape.append(length)
             count *= length
         if count == 0:
@@ -362,67 +354,6 @@ def _check_bools(where: str, array: npt.NDArray[Any]) -> None:
     """Raise at bytes that are neither 0 nor 1: numpy takes them for bools and then counts them wrongly."""
     if array.size and array.view(np.uint8).max() > 1:
         raise WireError(f"{where} holds bytes other than 0 and 1: use `!= 0`, not `.view(bool)`")
-
-
-@dataclass(frozen=True, slots=True)
-class Record:
-    """A dataclass: its fields in their order."""
-
-    cls: type
-    schema: Schema
-    parts: tuple[tuple[str, Codec], ...]
-
-    @property
-    def name(self) -> str:
-        return self.schema.name
-
-    @property
-    def text(self) -> str:
-        return self.schema.text
-
-    def write(self, value: str, code: Writer) -> None:
-        with code.block(f"if type({value}) is not {code.uses(self.cls)}"):
-            code.line(f"{code.uses(self.refuse)}({value})")
-        for field, part in self.parts:
-            entry = code.name()
-            code.line(f"{entry} = {value}.{field}")
-            part.write(entry, code)
-
-    def read(self, code: Code) -> str:
-        value = code.name()
-        fields = ", ".join(f"{field}={part.read(code)}" for field, part in self.parts)
-        with code.block("try"):
-            code.line(f"{value} = {code.uses(self.cls)}({fields})")
-        with code.block("except Exception as error"):  # whatever a plugin's class raises at what it refuses
-            code.line(f"{code.uses(self.refused)}(error)")
-        return value
-
-    def refuse(self, value: Any) -> NoReturn:
-        """Say what it takes instead."""
-        _refuse(self.name, value, "exactly this class")
-
-    def refused(self, error: Exception) -> NoReturn:
-        """Say why the class does not take what the buffer holds."""
-        reason = " ".join(str(error).split())
-        raise WireError(f"{self.name} refuses what the buffer holds: {reason}") from error
-
-    def writer(self) -> Callable[[Any], Laid]:
-        """The function that gives the items and arrays of a message."""
-        code = Writer()
-        code.line(f"items, arrays = [{self.name!r}, {self.schema.fingerprint}], []")
-        self.write("message", code)
-        code.flush()
-        code.line("return items, arrays")
-        return code.function("write", "message")
-
-    def reader(self) -> Callable[[Callable[[], Any], memoryview, int], tuple[Any, int]]:
-        """The function that gives the message whose items `take` gives, and where its arrays end."""
-        code = Code()
-        code.line(f"return {self.read(code)}, end")
-        return code.function("read", "take, view, end")
-
-
-Laid = tuple[list[Any], list[tuple[npt.NDArray[Any], np.dtype[Any]]]]  # items; arrays, dtypes on the wire
 
 
 def aligned(offset: int) -> int:

@@ -11,7 +11,8 @@ from typing import Any
 from benchmarks.transport_peers.over_link import Array, Block, Taker, failed, graph, link, window
 from benchmarks.transport_peers.over_zenoh import session
 from benchmarks.transport_peers.rig import Setting, Tally
-from fls_flow.runtime.run import Options, Pace, Run, Share
+from fls_flow.runtime.run import Run
+from fls_flow.runtime.terms import Options, Pace, Share
 
 __all__ = ["receive", "send"]
 

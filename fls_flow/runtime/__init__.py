@@ -1,7 +1,8 @@
 """Hosts nodes on links: when they fire, in which order, how far ahead, and how a run ends."""
 
 from fls_flow.runtime.folder import RunFolder, describe
-from fls_flow.runtime.run import Options, Pace, Report, Run, Share, finished_pings, holders, pace_of
+from fls_flow.runtime.run import Run
+from fls_flow.runtime.terms import Options, Pace, Report, Share, finished_pings, holders, pace_of
 
 __all__ = [
     "Options",

@@ -19,7 +19,8 @@ from fls_flow.graph import Graph
 from fls_flow.links.placement import Placement
 from fls_flow.links.zenoh import ZenohLink
 from fls_flow.runtime.live import LiveState
-from fls_flow.runtime.run import Options, Pace, Run, Share
+from fls_flow.runtime.run import Run
+from fls_flow.runtime.terms import Options, Pace, Share
 
 __all__ = ["Assignment", "close_session", "open_session", "placement_of", "serve"]
 
