@@ -77,12 +77,12 @@ def publish(opened: zenoh.Session, setting: Setting) -> None:
     while own.unmatched():
         time.sleep(0.005)
     inbox, finished = own.inbox("source"), dict.fromkeys(_takers(setting), -1)
-    index = 0
+    index, most = 0, window(setting)
     for item in setting.messages():
         if isinstance(item, float):
             time.sleep(item)
             continue
-        while min(finished.values()) < index - window(setting):
+        while min(finished.values()) < index - most:
             found = inbox.get(0.5)
             if isinstance(found, Finished):
                 finished[found.node] = found.index
