@@ -6,15 +6,14 @@ Each seed draws detections once; every tracker gets them, writes the CSV contrac
 `fls_flow.evaluate` (OSPA and GOSPA with p = 1, c = 10 m; a target is followed within 4 m). Times per scan are
 CPU time of the thread and wall time; rounds are interleaved, seed by seed. Shown are the median over the
 seeds and, in brackets, the worst. Ours runs with the preset `points` and nothing else (NNKF, which has no
-presets, with `OUR_SETTINGS`); Stone Soup's settings stand in `tracking_stonesoup.SETTINGS`. Its trackers are
-slow: they may take fewer of the same seeds. At the end, the exact probabilities of one cluster.
+presets, with `OUR_SETTINGS`); Stone Soup's settings stand in `tracking_stonesoup.SETTINGS`, as found by
+`benchmarks.tracking_search`. Its trackers are slow: they may take fewer of the same seeds. At the end, the
+exact probabilities of one cluster.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import itertools
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -63,13 +62,6 @@ SCORES = {
 }
 SMALLER_IS_WORSE = ("continuity",)
 SCORING = Settings(cutoff_m=10.0, order=1.0, gate_m=4.0)
-TUNING_SEEDS = (1001, 1002)
-GRID = {
-    "min_points": (4, 5, 6, 8),
-    "missed_distance": (3.0, 4.0),
-    "hold_steps": (2, 4),
-    "delete_steps": (8, 15),
-}
 
 
 @dataclass
@@ -104,7 +96,7 @@ def theirs(method: str, settings: soup.SoupSettings | None = None) -> Tracking:
     names = {scene.name: name for name, scene in SCENES.items()}
 
     def run(scene: Scene, seen: Sequence[Seen]) -> tuple[list[Tracks], list[float]]:
-        return soup.track(method, scene, seen, settings or soup.SETTINGS[names[scene.name]])
+        return soup.track(method, scene, seen, settings or soup.SETTINGS[names[scene.name]][method])
 
     return run
 
@@ -189,20 +181,6 @@ def clusters() -> Table:
     return table
 
 
-def tune(name: str, method: str) -> None:
-    """Print Stone Soup's best settings on seeds of their own."""
-    scene = SCENES[name]
-    drawn = [scene.draw(seed) for seed in TUNING_SEEDS]
-    results: list[tuple[float, Any]] = []
-    for values in itertools.product(*GRID.values()):
-        chosen: dict[str, Any] = dict(zip(GRID, values, strict=True))
-        settings = dataclasses.replace(soup.SoupSettings(), **chosen)
-        found = [outcome(theirs(method, settings), scene, seen) for seen in drawn]
-        results.append((float(np.mean([one.scores["gospa"] for one in found])), settings))
-    for gospa, settings in sorted(results, key=lambda one: one[0])[:5]:
-        print(f"{name} {method} GOSPA {gospa:.3f} m: {settings}")
-
-
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -212,20 +190,14 @@ def main() -> None:
     parser.add_argument(
         "--method", choices=list(soup.METHODS), action="append", help="only these of Stone Soup"
     )
-    parser.add_argument("--tune", action="store_true", help="search Stone Soup's settings instead")
     options = parser.parse_args()
     with threadpool_limits(1):
         for name in [options.scene] if options.scene else SCENES:
             # Its plain JPDA enumerates all joint events: in the dense scene it does not end.
             usual = [method for method in soup.METHODS if name == "few" or method != "JPDA"]
-            if options.tune:
-                for method in options.method or ["GNN"]:
-                    tune(name, method)
-                continue
             table = compare(SCENES[name], options.method or usual, options.seeds, options.soup_seeds)
             Console(width=170).print(table)
-        if not options.tune:
-            Console(width=170).print(clusters())
+        Console(width=170).print(clusters())
 
 
 if __name__ == "__main__":

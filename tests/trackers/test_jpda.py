@@ -88,24 +88,24 @@ def test_two_boxes_in_one_ping_start_two_tracks_but_one_per_object(detections: M
     assert_allclose(sorted(np.hypot(*tracks.state[:, :2].T)), [20.0, 30.1], atol=0.11)
 
 
-@pytest.mark.parametrize(("seen", "status"), [(5, TENTATIVE), (6, CONFIRMED)])
-def test_gate_initiation_confirms_6_of_8(detections: Make, seen: int, status: int) -> None:
+@pytest.mark.parametrize(("seen", "status"), [(4, TENTATIVE), (5, CONFIRMED)])
+def test_gate_initiation_confirms_5_of_8(detections: Make, seen: int, status: int) -> None:
     tracker = Jpda()
     for k in range(8):
         there = k == 0 or k > 8 - seen
         tracks = tracker(detections(k, [30.0] if there else [], [0.1] if there else []))
-    if seen == 5:
+    if seen == 4:
         assert CONFIRMED not in tracks.status
     else:
         assert tracks.id.tolist() == [1]
         assert tracks.status.tolist() == [status]
-        assert (tracks.hits[0], tracks.age[0]) == (6, 7)
+        assert (tracks.hits[0], tracks.age[0]) == (5, 7)
 
 
-def test_a_tentative_track_that_cannot_be_confirmed_any_more_ends_unseen(detections: Make) -> None:
+def test_a_tentative_track_that_is_not_seen_again_ends_unseen(detections: Make) -> None:
     tracker = Jpda()
     seen = [len(tracker(detections(k, [30.0] if k == 0 else [], [0.0] if k == 0 else []))) for k in range(5)]
-    assert seen == [1, 1, 1, 0, 0]
+    assert seen == [1, 1, 1, 1, 0]
 
 
 def test_a_low_score_delays_confirmation(detections: Make) -> None:
@@ -116,7 +116,7 @@ def test_a_low_score_delays_confirmation(detections: Make) -> None:
             if CONFIRMED in tracker(detections(k, 30.0, 0.1)).status:
                 first[score] = k
                 break
-    assert first[0.0] == 5
+    assert first[0.0] == 4
     assert first[0.0] < first[8.0] < first[40.0]
 
 

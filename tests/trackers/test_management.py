@@ -153,6 +153,16 @@ def test_m_of_n_confirms_and_drops() -> None:
     assert settled(lived([True] * 20), strict) == (TENTATIVE, True)
 
 
+def test_a_score_that_speaks_against_a_tentative_track_ends_it_if_there_is_one_to_reach() -> None:
+    for status in (TENTATIVE, CONFIRMED):
+        bank = lived([True] * 4, status)
+        for score, hopeless in ((-6.9, False), (-7.1, True)):
+            bank.ledger["score"] = score
+            kept = settled(bank, RULES._replace(min_score=8.0))[1]
+            assert kept is not (hopeless and status == TENTATIVE)
+            assert settled(bank)[1] is True
+
+
 def test_only_full_windows_are_judged() -> None:
     assert settled(lived([False] * 18, CONFIRMED)) == (CONFIRMED, True)
     assert settled(lived([False] * 19, CONFIRMED)) == (LOST, False)
@@ -239,8 +249,8 @@ def test_the_start_window_follows_the_initiation_unless_set() -> None:
         settings = settings_of(preset, given)
         return settings.m1, settings.n1
 
-    assert window("recommended") == window("paper", initiation="gate") == (8, 6)
+    assert window("recommended") == window("paper", initiation="gate") == (8, 5)
     assert window("paper") == window("recommended", initiation="box") == (20, 16)
-    assert window("paper", initiation="gate", m1=10) == (10, 6)
+    assert window("paper", initiation="gate", m1=10) == (10, 5)
     with pytest.raises(ValueError, match="n1 = 16 of m1 = 5"):
         window("paper", m1=5)

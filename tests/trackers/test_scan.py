@@ -11,11 +11,12 @@ from fls_flow.geometry import Pose
 from fls_trackers.association import ASSIGNED, INDEPENDENT, JOINT, associate, evidence
 from fls_trackers.clutter import cell_density
 from fls_trackers.conversion import convert, noise_at
+from fls_trackers.existence import chances, given_existence, weighted
 from fls_trackers.gating import gate
 from fls_trackers.initiation import by_place
 from fls_trackers.kalman import predict, update
 from fls_trackers.life import LOST, Rules, judge
-from fls_trackers.scan import Method, Scanned, Starts, scan
+from fls_trackers.scan import Fixed, Method, Scanned, Starts, scan
 from fls_trackers.settings import Grain, settings_of
 from fls_trackers.track_bank import TrackBank, new_tracks
 
@@ -29,6 +30,7 @@ def bank_of(rng: np.random.Generator, n: int) -> TrackBank:
     bank = new_tracks(position, np.tile(np.diag([0.5, 0.8]), (n, 1, 1)), (1.0, 0.5), 0)
     bank.ledger["status"] = rng.integers(0, 2, n)
     bank.ledger["id"] = np.arange(1, n + 1)
+    bank.ledger["score"] = rng.uniform(0.0, 12.0, n)
     return bank
 
 
@@ -55,7 +57,7 @@ def rules_of(s: object) -> Rules:
 def whole(bank: TrackBank, ping: Detections, dt_s: float, sharing: int = JOINT, room: int = 100) -> Scanned:
     s = settings_of("recommended", {})
     starts = Starts(room, 50, s.speed_sd_mps)
-    return scan(bank, ping, None, dt_s, GRAIN, POSE, s, rules_of(s), Method(sharing, 12), CLUTTER, starts)
+    return scan(bank, ping, None, dt_s, GRAIN, POSE, Fixed.of(s, Method(sharing, 12)), CLUTTER, starts)
 
 
 @pytest.mark.parametrize("sharing", [JOINT, INDEPENDENT, ASSIGNED])
@@ -73,14 +75,20 @@ def test_a_scan_is_its_steps(n: int, m: int, dt_s: float, sharing: int) -> None:
     R = noise_at(x, GRAIN.range_sd_m, GRAIN.bearing_sd_rad, POSE)
     gated = gate(x, P, R, y, s.gamma)
     rank = (bank.ledger["status"] == 0).astype(np.int64)
-    found = associate(gated, density, rank, p_d=s.p_d, p_g=s.gate_probability, sharing=sharing)
-    x, P = update(x, P, R, y, gated.start, gated.places, found.beta, found.beta_none)
     miss = 1.0 - s.p_d * s.gate_probability
+    chance = chances(bank.ledger, s.start_score)
+    likelihood = weighted(gated.start, gated.likelihood, chance, miss)
+    weighed = gated._replace(likelihood=likelihood) if sharing == JOINT else gated
+    found = associate(weighed, density, rank, p_d=s.p_d, p_g=s.gate_probability, sharing=sharing)
+    if sharing == JOINT:
+        given_existence(gated.start, gated.places, found.beta, found.beta_none, found.taken, chance, miss)
+    x, P = update(x, P, R, y, gated.start, gated.places, found.beta, found.beta_none)
     score = found.beta_none
     if sharing == ASSIGNED:
         score = evidence(*gated, density, s.p_d / miss, found.beta, found.beta_none)
-    apart = np.zeros_like(gated.start) if sharing != INDEPENDENT else gated.start
-    pairs = (apart, gated.places, found.beta)
+    unsure = np.repeat(rank, np.diff(gated.start)) > 0
+    both = np.where(unsure | (sharing == INDEPENDENT), found.beta, 0.0)
+    pairs = (gated.start, gated.places, both)
     rows, keep = judge(
         bank.ledger,
         x,

@@ -1,11 +1,10 @@
 """Joint probabilistic data association: how probable each gated measurement is for each track.
 
 Tracks that share gated measurements form a cluster; clusters are independent. A cluster is summed over all
-its joint events by a forward and a backward pass over its tracks. The state between two tracks is the set of
-measurements that are taken, and only those need a bit that a track before and a track after both gate: the
-cost is 2^(measurements shared at one time), not the number of events. A wider cluster is summed without the
-pairs that loopy belief propagation finds negligible, or keeps its probabilities, so that the time per scan is
-bounded.
+its joint events by a forward and a backward pass over its tracks and measurements. The state between two
+steps is which are taken, and only those need a bit that are open: some of their pairs lie before, some after.
+The cost is 2^(open at one time), not the number of events. In a wider cluster the least probable pairs are
+replaced by their messages in loopy belief propagation, so that the time per scan is bounded.
 """
 
 from __future__ import annotations
@@ -17,9 +16,10 @@ import numpy.typing as npt
 
 from fls_flow.kernels import compiled
 from fls_trackers.assignment import most_probable
-from fls_trackers.belief import propagate
-from fls_trackers.events import all_events, plan
+from fls_trackers.belief import bounded
+from fls_trackers.events import all_events
 from fls_trackers.gating import Gated
+from fls_trackers.sweep import plan
 
 __all__ = ["ASSIGNED", "INDEPENDENT", "JOINT", "Association", "associate", "evidence", "shared_out"]
 
@@ -33,7 +33,6 @@ INDEPENDENT = 1  # each track for itself, as if it were alone
 ASSIGNED = 2  # the most probable joint event alone
 
 MAX_STEPS = 3_000_000  # of the sums over events, per scan: some 5 ms
-NEGLIGIBLE = (1e-3, 3e-3, 1e-2, 2e-2)  # probabilities of pairs that a wide cluster is first tried without
 MAX_MESSAGES = 20_000_000  # of belief propagation, per scan: some 200 ms
 
 
@@ -58,7 +57,7 @@ def associate(
     max_shared: int = 14,
     sharing: int = JOINT,
 ) -> Association:
-    """The probabilities of all pairs, exact unless a cluster shares over `max_shared` measurements at a time.
+    """The probabilities of all pairs, exact unless a sweep of a cluster needs more than `max_shared` bits.
 
     A joint event gives each track at most one of its measurements and each measurement to at most one track;
     its weight is prod_(t has j) p_d N(y_j; H x_t, S_t) / density_j * prod_(t has none) (1 - p_d p_g).
@@ -204,51 +203,24 @@ def _cluster(
         for t in members:
             _one_track(t, start, ratio, live, beta, beta_none)
         return False
+    if sharing == JOINT and members.size == 2:
+        _two_tracks(members[0], members[1], start, places, ratio, live, beta, beta_none)
+        return False
     first, pairs, detection, m = _local(members, start, places, live, work)
     if sharing == ASSIGNED:
         beta[pairs], beta_none[members] = most_probable(first, detection, ratio[pairs], m)
         return False
-    order, bit, ends, width = plan(first, detection, m, max_shared)
-    steps = (pairs.size + members.size) << min(width, 32)
-    exact = width <= max_shared and steps <= budget[0]
+    sweep = plan(first, detection, m, max_shared)
+    steps = (pairs.size + members.size) << min(sweep.width, 32)
+    exact = sweep.width <= max_shared and steps <= budget[0]
     if exact:
         budget[0] -= steps
-        b, none = all_events(order, first, bit, ends, ratio[pairs], width)
+        b, none = all_events(first, ratio[pairs], sweep)
     else:
-        b, none = _wide(first, detection, ratio[pairs], m, max_shared, budget)
+        b, none = bounded(first, detection, ratio[pairs], m, max_shared, budget)
     beta[pairs] = b
     beta_none[members] = none
     return not exact
-
-
-@compiled
-def _wide(
-    first: IntArray, detection: IntArray, ratio: FloatArray, m: int, max_shared: int, budget: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """beta and beta_none of a cluster too wide for the sum over all events.
-
-    Belief propagation tells which pairs hardly matter; if the cluster without them is narrow enough, the
-    others are summed exactly.
-    """
-    b, none = propagate(first, detection, ratio, m, budget[1:])
-    n = first.size - 1
-    for negligible in NEGLIGIBLE:
-        kept, start = np.flatnonzero(b >= negligible), np.zeros(n + 1, np.int64)
-        for t in range(n):
-            start[t + 1] = start[t] + np.count_nonzero(b[first[t] : first[t + 1]] >= negligible)
-        order, bit, ends, width = plan(start, detection[kept], m, max_shared)
-        steps = (kept.size + n) << min(width, 32)
-        if width <= max_shared and steps <= budget[0]:
-            budget[0] -= steps
-            exact, none = all_events(order, start, bit, ends, ratio[kept], width)
-            whole = np.where(b >= negligible, 0.0, b)
-            for t in range(n):
-                rest = 1.0 - whole[first[t] : first[t + 1]].sum()
-                exact[start[t] : start[t + 1]] *= rest
-                none[t] *= rest
-            whole[kept] = exact
-            return whole, none
-    return b, none
 
 
 @compiled
@@ -261,6 +233,37 @@ def _one_track(
     beta_none[t] = 1.0 / total
     for e in range(start[t], start[t + 1]):
         beta[e] = ratio[e] / total if live[e] else 0.0
+
+
+@compiled
+def _two_tracks(
+    s: int,
+    t: int,
+    start: IntArray,
+    places: IntArray,
+    ratio: FloatArray,
+    live: BoolArray,
+    beta: FloatArray,
+    beta_none: FloatArray,
+) -> None:
+    """The commonest cluster: what each track takes, times all that the other may take besides."""
+    total = 0.0
+    for one, other in ((s, t), (t, s)):
+        none = 1.0
+        for e in range(start[other], start[other + 1]):
+            none += ratio[e] if live[e] else 0.0
+        weight = none
+        for e in range(start[one], start[one + 1]):
+            besides = 1.0
+            for f in range(start[other], start[other + 1]):
+                besides += ratio[f] if live[f] and places[f] != places[e] else 0.0
+            beta[e] = ratio[e] * besides if live[e] else 0.0
+            weight += beta[e]
+        beta_none[one], total = none, weight
+    for one in (s, t):
+        beta_none[one] /= total
+        for e in range(start[one], start[one + 1]):
+            beta[e] /= total
 
 
 @compiled

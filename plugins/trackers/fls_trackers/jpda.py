@@ -6,23 +6,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fls_flow import Detections, Tracks, hookimpl
-from fls_flow.messages import Frame
 from fls_trackers.association import JOINT
-from fls_trackers.clutter import Clutter
 from fls_trackers.multi_target import MultiTarget
-from fls_trackers.settings import Hit, Initiation, Preset
+from fls_trackers.settings import Parameters
 
 __all__ = ["Jpda", "fls_node"]
 
 
 @dataclass
-class Jpda:
+class Jpda(Parameters):
     """Tracks of the objects that detections come from, each in every ping until it is lost.
 
     Detections become Cartesian by debiased conversion; each track follows nearly constant velocity and is
     updated by all measurements in its gate, weighted by their joint probabilities. These are exact while a
-    cluster of tracks shares at most `max_shared` measurements at a time, and come from loopy belief
-    propagation beyond (errors of beta of some 0.02; the log says it once), which bounds the time of a scan.
+    sweep over the tracks and measurements of a cluster keeps at most `max_shared` of them in mind; beyond,
+    weak pairs count by loopy belief propagation alone (the log says it once), so that time is bounded.
 
     Parameters left None take the value of `preset`: `paper` is Karoui et al. 2015 as printed, except for its
     errors; `recommended` is what keeps tracks on clustered detections in clutter; `points` is for
@@ -32,8 +30,9 @@ class Jpda:
     `initiation`: `box` starts a confirmed track where n1 of m1 pings had an unclaimed detection within
     x_max, y_max; `gate` starts a tentative one at each unclaimed detection, confirmed with n1 updates in
     m1 pings and a log likelihood ratio of `start_score` against clutter (e^-start_score bounds the chance of
-    a false detection to become a track). n1 of m1 is 16 of 20 with `box`, 6 of 8 with `gate`. With `box` more
-    than a few false detections per ping make false starts.
+    a false detection to become a track). n1 of m1 is 16 of 20 with `box`, 5 of 8 with `gate`. With `box` more
+    than a few false detections per ping make false starts. Tentative tracks weigh by how probable their score
+    makes them, so that a newcomer takes nothing from one that is about to be confirmed.
     `hit`: what counts as an update, a detection in the gate (`gated`), or one also more likely than none
     (`probable`). Tracks end with fewer than n2 updates in m2 pings, or with a position less certain than
     max_sd_m, whether or not the sonar still looks their way.
@@ -50,31 +49,7 @@ class Jpda:
     Source: Karoui et al. 2015, section IV.
     """
 
-    preset: Preset = "recommended"
-    frame: Frame = "sensor"
-    sigma_v_mps2: float | None = None
-    sigma_d_m: float | None = None
-    sigma_delta_deg: float | None = None
-    gamma: float | None = None
-    p_d: float | None = None
-    p_g: float | None = None
-    p_fa: float | None = None
-    clutter: Clutter | None = None
-    initiation: Initiation | None = None
-    hit: Hit | None = None
-    m1: int | None = None
-    n1: int | None = None
-    start_score: float | None = None
-    m2: int | None = None
-    n2: int | None = None
-    x_max_m: float | None = None
-    y_max_m: float | None = None
-    speed_sd_mps: float | None = None
-    max_sd_m: float | None = None
-    merge_pings: int | None = None
-    start_from_candidates: bool | None = None
     max_shared: int = 14
-    max_tracks: int = 500
 
     _tracker: MultiTarget = field(init=False, repr=False)
 

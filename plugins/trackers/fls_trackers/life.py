@@ -36,6 +36,7 @@ Shared = tuple[
 TENTATIVE, CONFIRMED, LOST = 0, 1, 2  # TrackStatus, as the compiler takes them
 HISTORY_BITS = (1 << MAX_WINDOW) - 1
 TINY = 1e-300
+HOPELESS = -7.0  # score of a tentative track that ends: a thousandth of the odds that it began with
 MERGE_GATE = 4.0  # statistical distance over position and velocity, below which tracks may be one
 SEEN, UNRESOLVED = (
     0.5,
@@ -108,9 +109,9 @@ def settle(
     """The ledger with new statuses, and which tracks go on, (n,).
 
     A tentative track is confirmed with n1 updates in its last m1 pings and a score of min_score, and dropped
-    when the updates cannot be reached any more. A confirmed one is lost with fewer than n2 updates in its
-    last m2 pings (full windows only). Either ends when it repeats another, or when its largest position axis
-    sqrt(lambda_max(P_pos)) exceeds max_sd_m.
+    when the updates cannot be reached any more or, if there is a score to reach, its own speaks against it.
+    A confirmed one is lost with fewer than n2 updates in its last m2 pings (full windows only). Either ends
+    when it repeats another, or when its largest position axis sqrt(lambda_max(P_pos)) exceeds max_sd_m.
 
     Source: Karoui 2015, section IV-C; deletion in reading A of ALGORITHMS E-K11.
     """
@@ -122,6 +123,7 @@ def settle(
             if hits >= rules.n1 and row.score >= rules.min_score:
                 row.status = CONFIRMED
             keep[t] &= hits + max(0, rules.m1 - row.span) >= rules.n1
+            keep[t] &= row.score >= min(HOPELESS, rules.min_score)
         else:
             few = ones(row.history & ((1 << rules.m2) - 1)) < rules.n2
             keep[t] &= not (few and row.span >= rules.m2)
@@ -161,19 +163,26 @@ def suspect(
 
     A track is suspected in a ping when an older one is as near as if both followed one object,
     dx^T (P_i + P_j)^-1 dx <= 4 over position and velocity, and both explain about one detection together,
-    (1 - beta_none_i) + (1 - beta_none_j) <= 1.25. When `shared` holds pairs, of tracks that took measurements
-    independently, sum_k beta_ik beta_jk is subtracted: both took the same one. The count goes up while the
+    (1 - beta_none_i) + (1 - beta_none_j) <= 1.25. For tracks that took measurements independently, whose beta
+    are in `shared`, sum_k beta_ik beta_jk is subtracted: both took the same one. The count goes up while the
     track is suspected of the same one; two detections count down twice as fast, and a ping with none says
     nothing. It repeats that track once the count reaches `pings` (a quarter of them while it is tentative).
 
     Objects that cross are neither merged while two echoes are seen, nor as long as their velocities differ.
     """
     repeats = np.zeros(rows.size, np.bool_)
-    status, place, variance = rows["status"].copy(), state[:, 0].copy(), covariance[:, 0, 0].copy()
-    scratch, near_by = np.empty((5, 4)), np.empty(rows.size + 1, np.int64)
+    x, y = state[:, 0].copy(), state[:, 1].copy()
+    var_x, var_y = covariance[:, 0, 0].copy(), covariance[:, 1, 1].copy()
+    status = rows["status"].copy()
+    scratch = np.empty((5, 4))
+    near_by = np.zeros(8 * ((rows.size + 7) // 8), np.uint8)
+    words = near_by.view(np.uint64)
     for i in range(rows.size):
         row = rows[i]
-        rival = _rival(i, status, place, variance, repeats, state, covariance, scratch, near_by)
+        _look_around(i, x, y, var_x, var_y, near_by)
+        rival = -1
+        if _some(words, i):
+            rival = _rival(i, status, repeats, state, covariance, scratch, near_by)
         explained = 2.0 - beta_none[i] - beta_none[rival] - (_both(i, rival, shared) if rival >= 0 else 0.0)
         if rival < 0:
             row.rival_pings = max(0, row.rival_pings - 1)
@@ -186,6 +195,27 @@ def suspect(
         needed = pings if row.status == CONFIRMED else (pings + 3) // 4
         repeats[i] = row.rival_pings >= needed
     return repeats
+
+
+@compiled
+def _look_around(
+    i: int, x: FloatArray, y: FloatArray, var_x: FloatArray, var_y: FloatArray, near_by: npt.NDArray[np.uint8]
+) -> None:
+    """Flags the older tracks near by along x and y: no distance is less than that along one axis."""
+    here_x, here_y, mine_x, mine_y = x[i], y[i], MERGE_GATE * var_x[i], MERGE_GATE * var_y[i]
+    for j in range(i):
+        near_by[j] = ((here_x - x[j]) ** 2 <= mine_x + MERGE_GATE * var_x[j]) & (
+            (here_y - y[j]) ** 2 <= mine_y + MERGE_GATE * var_y[j]
+        )
+
+
+@compiled
+def _some(words: npt.NDArray[np.uint64], n: int) -> bool:
+    """Whether any of n flags is set, looked at eight at a time."""
+    some = np.uint64(0)
+    for word in words[: (n + 7) >> 3]:
+        some |= word
+    return bool(some)
 
 
 @compiled
@@ -206,29 +236,21 @@ def _both(i: int, j: int, shared: Shared) -> float:
 def _rival(
     i: int,
     status: IntArray,
-    place: FloatArray,
-    variance: FloatArray,
     repeats: BoolArray,
     state: FloatArray,
     covariance: FloatArray,
     scratch: FloatArray,
-    near_by: IntArray,
+    near_by: npt.NDArray[np.uint8],
 ) -> int:
-    """The oldest track that track i may repeat; -1: none. `place` and `variance` (n,) are those along x."""
-    # The cheap test first, and without a branch: the distance along one axis is never more than the whole.
-    k, here, mine = 0, place[i], variance[i]
+    """The oldest of the tracks `near_by` that track i may repeat; -1: none."""
     for j in range(i):
-        near_by[k] = j
-        k += (here - place[j]) ** 2 <= MERGE_GATE * (mine + variance[j])
-    for j in near_by[:k]:
-        if repeats[j] or status[j] < status[i]:
-            continue
-        near = True
-        for a in range(1, 4):
-            reach = MERGE_GATE * (covariance[i, a, a] + covariance[j, a, a])
-            near &= (state[i, a] - state[j, a]) ** 2 <= reach
-        if near and distance(state, covariance, i, j, scratch) <= MERGE_GATE:
-            return int(j)
+        if near_by[j] and not repeats[j] and status[j] >= status[i]:
+            near = True
+            for a in range(2, 4):
+                reach = MERGE_GATE * (covariance[i, a, a] + covariance[j, a, a])
+                near &= (state[i, a] - state[j, a]) ** 2 <= reach
+            if near and distance(state, covariance, i, j, scratch) <= MERGE_GATE:
+                return j
     return -1
 
 

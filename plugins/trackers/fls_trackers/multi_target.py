@@ -18,7 +18,7 @@ from fls_trackers.initiation import BoxInitiator, box_tracks, several_in_a_beam
 from fls_trackers.kalman import predict
 from fls_trackers.life import Rules, settle
 from fls_trackers.placement import Placement, check_finite
-from fls_trackers.scan import Method, Scanned, Starts, scan
+from fls_trackers.scan import Fixed, Method, Scanned, Starts, scan
 from fls_trackers.settings import Grain, Settings, settings_of
 from fls_trackers.track_bank import TrackBank
 
@@ -44,7 +44,7 @@ class MultiTarget:
     max_tracks: int
 
     _bank: TrackBank = field(default_factory=TrackBank, init=False, repr=False)
-    _rules: Rules = field(init=False, repr=False)
+    _fixed: Fixed = field(init=False, repr=False)
     _clutter: ClutterDensity = field(init=False, repr=False)
     _boxes: BoxInitiator = field(init=False, repr=False)
     _next_id: int = field(default=1, init=False, repr=False)
@@ -58,7 +58,7 @@ class MultiTarget:
         s = self.settings
         self._place = Placement(s, self.frame)
         self._clutter = ClutterDensity(s.clutter, s.p_fa, window=20)
-        self._rules = Rules(s.m1, s.n1, s.start_score, s.m2, s.n2, s.max_sd_m)
+        self._fixed = Fixed.of(s, self.method)
         self._boxes = BoxInitiator(s.m1, s.n1)
 
     @classmethod
@@ -98,7 +98,8 @@ class MultiTarget:
 
     def _ambiguous(self, detections: Detections, grain: Grain) -> BoolArray | None:
         """Which detections are among several candidates in one beam and so start nothing; None: none are."""
-        if self.settings.start_from_candidates or not detections.kind.any():
+        # As bytes: looking one up costs a tenth of a comparison of arrays.
+        if self.settings.start_from_candidates or SELF_NOISE not in detections.kind.tobytes():
             return None
         candidate = detections.kind == SELF_NOISE
         return several_in_a_beam(detections.bearing_rad, candidate, grain.spacing_rad)
@@ -117,9 +118,7 @@ class MultiTarget:
             dt_s,
             grain,
             pose,
-            s,
-            self._rules,
-            self.method,
+            self._fixed,
             clutter,
             starts,
         )
@@ -127,8 +126,8 @@ class MultiTarget:
             check_finite(detections)
         if found.approximate:
             self._place.warn_once(
-                f"ping seq {detections.seq}: tracks share more than {self.method.max_shared} detections; "
-                "probabilities of such clusters come from belief propagation"
+                f"ping seq {detections.seq}: tracks share more than {self.method.max_shared} detections "
+                "(max_shared) allow to sum; weak pairs of such clusters count by belief propagation"
             )
         if found.cut:
             self._place.warn_once(
@@ -159,7 +158,7 @@ class MultiTarget:
         state, covariance = predict(bank.state, bank.covariance, dt_s, self.settings.sigma_v_mps2)
         ledger = bank.ledger.copy()
         ledger["age"] += 1
-        ledger, keep = settle(ledger, np.zeros(len(bank), bool), covariance, self._rules)
+        ledger, keep = settle(ledger, np.zeros(len(bank), bool), covariance, Rules(*self._fixed.rules))
         return TrackBank(state, covariance, ledger).select(keep | (ledger["status"] == LOST))
 
     def snapshot(self) -> dict[str, Any]:

@@ -6,17 +6,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fls_flow import Detections, Tracks, hookimpl
-from fls_flow.messages import Frame
 from fls_trackers.association import INDEPENDENT
-from fls_trackers.clutter import Clutter
 from fls_trackers.multi_target import MultiTarget
-from fls_trackers.settings import Hit, Initiation, Preset
+from fls_trackers.settings import Parameters
 
 __all__ = ["Pda", "fls_node"]
 
 
 @dataclass
-class Pda:
+class Pda(Parameters):
     """Tracks as `jpda` makes them, but each weighs the measurements in its gate as if it were alone.
 
     beta_j = ratio_j / (1 + sum of ratios), ratio_j = p_d N(y_j; H x, S) / (density (1 - p_d p_g)): two
@@ -28,31 +26,6 @@ class Pda:
 
     Source: Bar-Shalom & Li 1995, section 3.4; Karoui et al. 2015 for conversion, start and end.
     """
-
-    preset: Preset = "recommended"
-    frame: Frame = "sensor"
-    sigma_v_mps2: float | None = None
-    sigma_d_m: float | None = None
-    sigma_delta_deg: float | None = None
-    gamma: float | None = None
-    p_d: float | None = None
-    p_g: float | None = None
-    p_fa: float | None = None
-    clutter: Clutter | None = None
-    initiation: Initiation | None = None
-    hit: Hit | None = None
-    m1: int | None = None
-    n1: int | None = None
-    start_score: float | None = None
-    m2: int | None = None
-    n2: int | None = None
-    x_max_m: float | None = None
-    y_max_m: float | None = None
-    speed_sd_mps: float | None = None
-    max_sd_m: float | None = None
-    merge_pings: int | None = None
-    start_from_candidates: bool | None = None
-    max_tracks: int = 500
 
     _tracker: MultiTarget = field(init=False, repr=False)
 

@@ -14,9 +14,10 @@ import numpy.typing as npt
 from fls_flow import Detections
 from fls_flow.geometry import Pose
 from fls_flow.kernels import compiled, frozen
-from fls_trackers.association import ASSIGNED, INDEPENDENT, evidence, shared_out
+from fls_trackers.association import ASSIGNED, INDEPENDENT, JOINT, evidence, shared_out
 from fls_trackers.clutter import cell_density
 from fls_trackers.conversion import measured, noise_of
+from fls_trackers.existence import chances, given_existence, weighted
 from fls_trackers.gating import pairs_in_gates
 from fls_trackers.initiation import by_place, strongest
 from fls_trackers.kalman import predict, update
@@ -24,7 +25,7 @@ from fls_trackers.life import TENTATIVE, Rules, judge
 from fls_trackers.settings import Grain, Settings
 from fls_trackers.track_bank import Ledger, TrackBank, begun, renewed
 
-__all__ = ["Method", "Scanned", "Starts", "scan"]
+__all__ = ["Fixed", "Method", "Scanned", "Starts", "scan"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -38,6 +39,26 @@ class Method(NamedTuple):
 
     sharing: int
     max_shared: int
+
+
+class Fixed(NamedTuple):
+    """What is the same in all scans, as the kernel takes it."""
+
+    sigma_v_mps2: float
+    weights: tuple[float, float, float]  # gamma, p_d / (1 - p_d p_g), 1 - p_d p_g
+    choices: tuple[int, int, int, bool]  # sharing, max_shared, merge_pings, only_probable
+    rules: tuple[int, int, float, int, int, float]  # the fields of `Rules`
+
+    @classmethod
+    def of(cls, s: Settings, method: Method) -> Fixed:
+        """What follows from settings and method."""
+        miss = 1.0 - s.p_d * s.gate_probability
+        return cls(
+            s.sigma_v_mps2,
+            (s.gamma, s.p_d / miss, miss),
+            (method.sharing, method.max_shared, s.merge_pings, s.hit == "probable"),
+            (s.m1, s.n1, s.start_score, s.m2, s.n2, s.max_sd_m),
+        )
 
 
 class Starts(NamedTuple):
@@ -67,9 +88,7 @@ def scan(
     dt_s: float,
     grain: Grain,
     pose: Pose,
-    settings: Settings,
-    rules: Rules,
-    method: Method,
+    fixed: Fixed,
     clutter: tuple[float, float],
     starts: Starts,
 ) -> Scanned:
@@ -78,8 +97,6 @@ def scan(
     `barred` (m,) are detections that start nothing; `clutter` are p_fa and the least density of false
     measurements. Confirmed tracks take first.
     """
-    s = settings
-    p_g = s.gate_probability
     m = len(detections)
     unclaimed = np.zeros(m, bool)
     x, P, rows, lost, born, cut, approximate, finite = _scan(
@@ -91,12 +108,12 @@ def scan(
         _row(detections.amplitude),
         np.zeros(m, bool) if barred is None else barred,
         unclaimed,
-        (dt_s, s.sigma_v_mps2),
+        (dt_s, fixed.sigma_v_mps2),
         (grain.range_sd_m, grain.bearing_sd_rad, pose.north_m, pose.east_m, pose.heading_rad),
         (*clutter, grain.cell_m, grain.spacing_rad),
-        (s.gamma, s.p_d / (1.0 - s.p_d * p_g), 1.0 - s.p_d * p_g),
-        (method.sharing, method.max_shared, s.merge_pings, s.hit == "probable"),
-        (rules.m1, rules.n1, rules.min_score, rules.m2, rules.n2, rules.max_sd_m),
+        fixed.weights,
+        fixed.choices,
+        fixed.rules,
         (starts.room, starts.next_id, starts.speed_sd_mps),
     )
     return Scanned(TrackBank(x, P, rows), lost, born, cut, approximate, finite, unclaimed)
@@ -183,14 +200,22 @@ def _followed(
     rank = np.zeros(ledger.size, np.int64)
     for t in range(ledger.size):
         rank[t] = ledger[t].status == TENTATIVE
+    chance = chances(ledger, rules[2])
+    weight = weighted(start, likelihood, chance, miss) if sharing == JOINT else likelihood
     beta, none, taken, claimed, in_gate, approximate = shared_out(
-        start, places, likelihood, density, factor, rank, max_shared, sharing
+        start, places, weight, density, factor, rank, max_shared, sharing
     )
+    if sharing == JOINT:
+        given_existence(start, places, beta, none, taken, chance, miss)
     x, P = update(x, P, R, y, start, places, beta, none)
     score = none
     if sharing == ASSIGNED:
         score = evidence(start, places, likelihood, density, factor, beta, none)
-    shared = (start, places, beta) if sharing == INDEPENDENT else (np.zeros_like(start), places, beta)
+    both = beta.copy()  # of tracks that may take the same measurement: two tentative ones, each if it exists
+    for t in range(ledger.size if sharing != INDEPENDENT else 0):
+        if rank[t] == 0:
+            both[start[t] : start[t + 1]] = 0.0
+    shared = (start, places, both)
     rows, keep = judge(
         ledger, x, P, in_gate, none, score, miss, only_probable, merge_pings, Rules(*rules), shared
     )

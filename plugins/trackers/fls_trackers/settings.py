@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from fls_flow import View
+from fls_flow.messages import Frame
 from fls_trackers.clutter import Clutter
 from fls_trackers.track_bank import MAX_WINDOW
 
@@ -19,6 +20,7 @@ __all__ = [
     "Grain",
     "Hit",
     "Initiation",
+    "Parameters",
     "Preset",
     "Settings",
     "grain_of",
@@ -49,8 +51,8 @@ class Settings:
     initiation: Initiation = "gate"
     hit: Hit = "probable"
     m1: int = 8
-    n1: int = 6
-    start_score: float = 8.0
+    n1: int = 5
+    start_score: float = 10.0
     m2: int = 20
     n2: int = 5  # a boat that crosses a wake is seen in fewer than half of the pings
     x_max_m: float | None = None
@@ -104,8 +106,38 @@ def _check_ranges(s: Settings) -> None:
             raise ValueError(f"{name} = {getattr(s, name)!r}: must be one of {', '.join(allowed)}")
 
 
+@dataclass
+class Parameters:
+    """What `jpda`, `pda` and `gnn` let users set; None is the preset's value. `Jpda` says what each means."""
+
+    preset: Preset = "recommended"
+    frame: Frame = "sensor"
+    sigma_v_mps2: float | None = None
+    sigma_d_m: float | None = None
+    sigma_delta_deg: float | None = None
+    gamma: float | None = None
+    p_d: float | None = None
+    p_g: float | None = None
+    p_fa: float | None = None
+    clutter: Clutter | None = None
+    initiation: Initiation | None = None
+    hit: Hit | None = None
+    m1: int | None = None
+    n1: int | None = None
+    start_score: float | None = None
+    m2: int | None = None
+    n2: int | None = None
+    x_max_m: float | None = None
+    y_max_m: float | None = None
+    speed_sd_mps: float | None = None
+    max_sd_m: float | None = None
+    merge_pings: int | None = None
+    start_from_candidates: bool | None = None
+    max_tracks: int = 500
+
+
 RECOMMENDED = Settings()
-POINTS = Settings(n1=5, speed_sd_mps=0.3, centroid_sd_m=0.0)
+POINTS = Settings(gamma=16.0, n1=4, start_score=13.0, speed_sd_mps=0.3, centroid_sd_m=0.0)
 PAPER = Settings(
     sigma_v_mps2=1e-3,
     p_g=1.0,
