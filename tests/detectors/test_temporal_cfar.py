@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fls_detectors.temporal_background import rayleigh_threshold
 from fls_detectors.temporal_cfar import TemporalCfar, fls_node
-from fls_detectors.temporal_objects import linked
+from fls_detectors.temporal_objects import around, linked
 from fls_flow.testing import check_node
 
 
@@ -22,6 +22,8 @@ def test_kind_and_contract(make_ping):
     pings = [{"ping": ping} for ping in rayleigh(make_ping, 12, shape=(40, 20))]
     check_node(TemporalCfar(warm_up_pings=3, pfa=1e-2), pings)
     check_node(TemporalCfar(warm_up_pings=3, pfa=1e-2, link_m=0.3, smooth_cells=(1.0, 1.0)), pings)
+    moving = {"reach_m": 0.5, "recent_rate": 0.2, "strength": "energy"}
+    check_node(TemporalCfar(warm_up_pings=3, pfa=1e-2, **moving), pings)
     check_node(TemporalCfar)
 
 
@@ -177,8 +179,9 @@ def test_silence_that_breaks_is_an_event(make_ping):
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 39), (39, 0), (1, 1), (1, 39), (39, 1)])
 @pytest.mark.parametrize("link_m", [0.0, 1.0])
-def test_small_and_empty_images(make_ping, shape, link_m):
-    node = TemporalCfar(warm_up_pings=2, link_m=link_m)
+@pytest.mark.parametrize("recent_rate", [None, 0.1])
+def test_small_and_empty_images(make_ping, shape, link_m, recent_rate):
+    node = TemporalCfar(warm_up_pings=2, link_m=link_m, recent_rate=recent_rate)
     for _ in range(3):
         assert node(make_ping(np.zeros(shape, np.uint8))).foreground.amplitude.shape == shape
     found = node(make_ping(np.full(shape, 200, np.uint8)))
@@ -222,6 +225,84 @@ def test_points_of_nobody_are_no_groups():
     assert linked(np.zeros((0, 2)), 1.0).size == 0
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_groups_around_the_heaviest_points_are_those_of_the_definition(seed):
+    rng = np.random.default_rng(seed)
+    points, reach_m = rng.uniform(-10.0, 10.0, (rng.integers(1, 90), 2)), rng.uniform(0.1, 4.0)
+    weight = rng.permutation(len(points)) + 1.0
+    left, expected, leaders = set(range(len(points))), np.empty(len(points), int), 0
+    while left:
+        leader = max(left, key=weight.__getitem__)
+        near = {j for j in left if np.hypot(*(points[j] - points[leader])) <= reach_m}
+        expected[list(near)] = leaders
+        left, leaders = left - near, leaders + 1
+    assert_array_equal(around(points, weight, reach_m), expected)
+    order = rng.permutation(len(points))
+    assert_array_equal(around(points[order], weight[order], reach_m), expected[order])
+    assert around(np.zeros((0, 2)), np.zeros(0), reach_m).size == 0
+
+
+def after_silence(make_ping, node, images):
+    """What a node finds in images, after some pings of nothing."""
+    for _ in range(4):
+        node(make_ping(np.zeros_like(images[0])))
+    return [node(make_ping(image)).detections for image in images]
+
+
+def test_two_objects_that_touch_are_two_around_their_brightest_cells(make_ping):
+    image = np.zeros((400, 39), np.float32)
+    image[100:161, 19] = 5.0
+    image[[110, 150], 19] = [40.0, 30.0]
+    (chained,) = after_silence(make_ping, TemporalCfar(warm_up_pings=2, link_m=0.5), [image])
+    (parted,) = after_silence(make_ping, TemporalCfar(warm_up_pings=2, reach_m=1.1), [image])
+    assert len(chained) == 1
+    assert len(parted) == 2
+    assert_allclose(parted.range_m, make_ping(image).range_m[[110, 150]], atol=0.2)
+    assert_allclose(parted.amplitude, [40.0, 30.0])
+    whole = TemporalCfar(warm_up_pings=2, reach_m=1.1, strength="energy")
+    (parted,) = after_silence(make_ping, whole, [image])
+    assert_allclose(np.square(parted.amplitude).sum(), np.square(image, dtype=float).sum(), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("share", "left"), [(0.2, 1), (0.0, 2)])
+def test_what_stays_in_place_fades_and_what_moves_does_not(make_ping, share, left):
+    def at(k):
+        image = np.zeros((400, 39), np.float32)
+        image[100:120, 10:13] = 20.0  # stays
+        image[100 + 4 * k : 120 + 4 * k, 30:33] = 20.0  # swims its length in five pings
+        return image
+
+    settings = {
+        "reach_m": 3.0,
+        "min_cells": 20,
+        "strength": "energy",
+        "event_rate": 0.0,
+        "fresh_share": share,
+    }
+    node = TemporalCfar(warm_up_pings=2, recent_rate=0.15, recent_cells=(2.0, 1.0), **settings)
+    found = after_silence(make_ping, node, [at(k) for k in range(40)])
+    assert len(found[0]) == 2
+    assert_allclose(found[0].amplitude[0], found[0].amplitude[1], rtol=0.01)
+    last = found[-1]
+    assert len(last) == left
+    swims = last.bearing_rad > 0.0
+    middle = 2.0 + 0.05 * (100 + 4 * 39 + 9.5)
+    assert_allclose(last.range_m[swims], middle, atol=0.5)
+    assert last.amplitude[swims] > 0.6 * found[0].amplitude[1]
+    assert np.all(last.amplitude[~swims] < 0.1 * last.amplitude[swims])
+
+
+def test_the_recent_past_is_forgotten_when_the_geometry_changes(make_ping):
+    node = TemporalCfar(warm_up_pings=2, reach_m=1.0, recent_rate=0.2)
+    image = np.zeros((60, 20), np.float32)
+    image[20:30, 10] = 9.0
+    after_silence(make_ping, node, [image] * 3)
+    assert node.snapshot()["recent"].any()
+    node(make_ping(np.zeros((50, 20), np.float32)))
+    assert node.snapshot()["recent"].shape == (50, 20)
+    assert not node.snapshot()["recent"].any()
+
+
 @pytest.mark.parametrize(
     ("parameters", "complaint"),
     [
@@ -239,6 +320,13 @@ def test_points_of_nobody_are_no_groups():
         ({"link_m": -1.0}, "link_m is -1.0"),
         ({"min_cells": 0}, "min_cells is 0"),
         ({"smooth_cells": (-1.0, 0.0)}, "smooth_cells is"),
+        ({"recent_cells": (0.0, float("inf"))}, "recent_cells is"),
+        ({"reach_m": float("nan")}, "reach_m is nan"),
+        ({"reach_m": 1.0, "link_m": 2.0}, "reach_m is 1.0 and link_m is 2.0"),
+        ({"strength": "mean"}, "strength is mean"),
+        ({"recent_rate": 0.0}, "recent_rate is 0.0"),
+        ({"recent_rate": 1.5}, "recent_rate is 1.5"),
+        ({"fresh_share": -0.1}, "fresh_share is -0.1"),
     ],
 )
 def test_bad_parameters_are_named(parameters, complaint):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -12,15 +13,16 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fls_flow import Detections, NavState, Tracks, View
+from fls_flow.geometry import Pose
 from fls_flow.testing import check_node
 from fls_trackers.adaptive_noise import NOISE_COLUMNS, PROCESS, SENSOR, learn, predict_each
 from fls_trackers.conversion import noise_at
+from fls_trackers.echo_strength import ANY, BROAD, agreeing, begun_strength, learned, strengths
 from fls_trackers.fusion import Fusion, fused
 from fls_trackers.grouping import grouped
 from fls_trackers.life import CONFIRMED, LOST, TENTATIVE
 from fls_trackers.nnkf import Nnkf
 from fls_trackers.pdaf import Pdaf
-from fls_trackers.placement import Pose
 from fls_trackers.single_target import follow, nearest, settle_by_score
 from fls_trackers.track_bank import TrackBank, new_tracks
 
@@ -44,13 +46,13 @@ def one_track() -> TrackBank:
     return bank
 
 
-def followed(y: FloatArray, density: FloatArray, one_event: bool) -> tuple[Any, ...]:
+def followed(y: FloatArray, density: FloatArray, one_event: bool, joint: bool = True) -> tuple[Any, ...]:
     bank, p_g = one_track(), 1.0 - np.exp(-8.0)
     gains = (16.0, 0.65 / (1.0 - 0.65 * p_g), 1.0 - 0.65 * p_g)
-    sensor, noise = (0.1, 0.01, 0.0, 0.0, 0.0), np.zeros((1, NOISE_COLUMNS))
+    sensor, noise, strength = (0.1, 0.01, 0.0, 0.0, 0.0), np.zeros((1, NOISE_COLUMNS)), np.zeros((1, 2))
     return follow(
-        bank.state, bank.covariance, bank.ledger, noise, y, density, (0.5, 0.25), sensor, 0.4, gains,
-        one_event, True, False,
+        bank.state, bank.covariance, bank.ledger, noise, strength, y, np.zeros(len(y)), density, (0.5, 0.25),
+        sensor, (0.4, 0.0, 0.0), gains, (one_event, True, False, joint),
     )  # fmt: skip
 
 
@@ -77,7 +79,7 @@ def test_pdaf_equals_enumeration_of_its_events(seed: int) -> None:
     rng = np.random.default_rng(seed)
     y = np.array([20.0, 2.0]) + 1.5 * rng.standard_normal((rng.integers(0, 6), 2))
     density = rng.uniform(0.01, 0.3, len(y))
-    x, P, rows, _, event, *_ = followed(y, density, one_event=False)
+    x, P, rows, _, _, event, *_ = followed(y, density, one_event=False, joint=bool(seed % 2))
     beta, mean, cov = by_hand(y, density)
     assert_allclose(x[0], mean, rtol=1e-12)
     assert_allclose(P[0], cov, rtol=1e-10, atol=1e-13)
@@ -86,20 +88,85 @@ def test_pdaf_equals_enumeration_of_its_events(seed: int) -> None:
     assert rows["score"][0] == pytest.approx(np.log((1.0 - 0.65 * p_g) / beta[0]), rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_tracks_that_share_events_equal_enumeration_of_the_joint_events(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    at = np.array([[20.0, 2.0], [20.6, 2.4], [19.5, 1.8]])
+    y = np.array([20.0, 2.0]) + 0.7 * rng.standard_normal((rng.integers(1, 4), 2))
+    density = rng.uniform(0.02, 0.3, len(y))
+    bank = new_tracks(at, np.tile(np.diag([0.4, 0.7]), (3, 1, 1)), (0.5, 0.5), CONFIRMED)
+    bank.ledger["id"] = [1, 2, 3]
+    sensor, gamma, p_d = (0.1, 0.01, 0.0, 0.0, 0.0), 50.0, 0.65
+    x, _, _, _, _, _, none, *_ = follow(
+        bank.state, bank.covariance, bank.ledger, np.zeros((3, NOISE_COLUMNS)), np.zeros((3, 2)), y,
+        np.zeros(len(y)), density, (0.5, 0.25), sensor, (0.4, 0.0, 0.0),
+        (gamma, p_d / (1.0 - p_d), 1.0 - p_d), (False, True, False, True),
+    )  # fmt: skip
+    before, P = predict_each(bank.state, bank.covariance, 0.5, 0.25, np.zeros((3, 5)))
+    S = P[:, :2, :2] + noise_at(before, 0.1, 0.01, Pose()) + 0.16 * np.eye(2)
+    ratio = np.zeros((3, len(y) + 1))
+    ratio[:, 0] = 1.0 - p_d
+    for t, j in itertools.product(range(3), range(len(y))):
+        nu = y[j] - before[t, :2]
+        peak = 1.0 / np.sqrt(np.linalg.det(2.0 * np.pi * S[t]))
+        ratio[t, j + 1] = p_d * peak * np.exp(-0.5 * nu @ np.linalg.solve(S[t], nu)) / density[j]
+    beta = np.zeros_like(ratio)
+    for event in itertools.product(range(len(y) + 1), repeat=3):
+        taken = [j for j in event if j]
+        if len(set(taken)) == len(taken):
+            beta[range(3), event] += ratio[range(3), event].prod()
+    beta /= beta.sum(axis=1, keepdims=True)
+    assert_allclose(none, beta[:, 0], rtol=1e-9)
+    K = P[:, :, :2] @ np.linalg.inv(S)
+    nu = np.einsum("tj,tja->ta", beta[:, 1:], y[None] - before[:, None, :2])
+    assert_allclose(x, before + np.einsum("tab,tb->ta", K, nu), rtol=1e-9)
+
+
+@pytest.mark.parametrize("levels", [(1.0, 1.0), (1.0, 2.0)])
+def test_a_common_event_moves_the_mean_and_leaves_the_difference(levels: tuple[float, float]) -> None:
+    bank = new_tracks(
+        np.array([[20.0, 2.0], [20.8, 2.0]]), np.tile(np.eye(2), (2, 1, 1)), (0.5, 0.5), CONFIRMED
+    )
+    bank.ledger["id"] = [1, 2]
+    strength = np.array([[level, 9.0] for level in levels])
+    y, gains = np.array([[20.6, 2.3]]), (16.0, 9.0, 0.1)
+
+    def after(resolution_m: float) -> tuple[FloatArray, FloatArray]:
+        x, P, _, _, learnt, *_ = follow(
+            bank.state, bank.covariance, bank.ledger, np.zeros((2, NOISE_COLUMNS)), strength, y, np.array([3.0]),
+            np.full(1, 1e-9), (0.5, 0.25), (0.1, 1e-6, 0.0, 0.0, 0.0), (0.4, 0.0, resolution_m), gains,
+            (False, True, False, True),
+        )  # fmt: skip
+        assert_array_equal(learnt == strength, resolution_m > 0.0)
+        return x, P
+
+    x, P = after(2.0)
+    assert_allclose(x[1] - x[0], [0.8, 0.0, 0.0, 0.0], atol=1e-4)
+    weight = np.exp(2.0 * np.array(levels))
+    centre = weight @ bank.state[:, :2] / weight.sum()
+    K = x[0, :2] - bank.state[0, :2]
+    prior = predict_each(bank.state, bank.covariance, 0.5, 0.25, np.zeros((2, 5)))[1][0, 0, 0]
+    R = np.array([0.17, 0.16])  # along and across
+    assert_allclose(K, prior / (prior + R) * (y[0] - centre), rtol=5e-3)
+    assert_allclose(np.diag(P[0])[:2], prior * R / (prior + R), rtol=1e-2)
+    alone = after(0.0)[0]
+    assert alone[1, 0] - alone[0, 0] < 0.75  # one event pulls two tracks together
+
+
 def test_nnkf_is_the_kalman_update_by_the_nearest_event() -> None:
     y = np.array([[21.5, 2.5], [20.3, 2.2], [20.0, 0.5]])
-    x, P, _, _, event, gated, _ = followed(y, np.full(3, 0.01), one_event=True)
+    x, P, _, _, _, event, _, known, _ = followed(y, np.full(3, 0.01), one_event=True, joint=False)
     alone, P_alone, *_ = followed(y[1:2], np.full(1, 1e-12), one_event=False)  # no clutter: its beta is 1
     assert event[0] == 1
     assert_allclose(x, alone, rtol=1e-9)
     assert_allclose(P, P_alone, rtol=1e-9)
-    assert gated.all()
+    assert known.all()
 
 
 @pytest.mark.parametrize("one_event", [True, False])
 def test_a_miss_keeps_the_predicted_state_and_covariance(one_event: bool) -> None:
     bank = one_track()
-    x, P, rows, _, event, *_ = followed(np.array([[90.0, 2.0]]), np.full(1, 0.01), one_event)
+    x, P, rows, _, _, event, *_ = followed(np.array([[90.0, 2.0]]), np.full(1, 0.01), one_event)
     predicted = predict_each(bank.state, bank.covariance, 0.5, 0.25, np.zeros((1, 5)))
     assert_array_equal(x, predicted[0])
     assert_array_equal(P, predicted[1])
@@ -161,6 +228,72 @@ def test_a_track_without_event_learns_nothing() -> None:
     after = learn(noise, bank.state, bank.covariance, np.eye(2)[None], np.zeros((0, 2)), np.array([-1]))
     assert after[0].tolist() == [0.3, 0.2, 1.0, -1.0, 0.0]
     assert noise[0, 4] == 1.0
+
+
+# --- strength of echoes -------------------------------------------------------------------------------------
+
+
+def test_events_are_weighed_by_how_they_agree_with_the_track() -> None:
+    start, places, table = np.array([0, 3, 4]), np.array([0, 1, 2, 1]), np.array([[2.0, 7.0], [0.0, 0.0]])
+    ln_a = np.array([2.0, 3.0, np.nan])
+    weighed = agreeing(np.ones(4), start, places, table, ln_a, 0.5)
+    peak = (1.0 - ANY) / (np.sqrt(2.0 * np.pi) * 0.5 * BROAD)
+    assert_allclose(weighed, [ANY + peak, ANY + peak * np.exp(-2.0), 1.0, 1.0])
+
+
+def test_the_level_of_a_track_is_the_mean_of_its_first_events_and_follows_later_ones() -> None:
+    start, places, beta = np.array([0, 2]), np.array([0, 1]), np.array([0.75, 0.25])
+    table = begun_strength(np.array([1.0]))
+    table = learned(table, start, places, beta, np.array([3.0, 3.0]), 0.25)
+    assert_allclose(table, [[2.0, 2.0]])
+    for _ in range(400):
+        table = learned(table, start, places, beta, np.array([5.0, 9.0]), 0.25)
+    assert_allclose(table[0, 0], 6.0)
+    unseen = learned(table, start, places, np.zeros(2), np.array([5.0, 9.0]), 0.25)
+    assert_array_equal(unseen, table)
+    assert_array_equal(learned(table, start, places, beta, np.full(2, np.nan), 0.25), table)
+
+
+def test_amplitudes_that_tell_nothing_are_unknown() -> None:
+    assert_allclose(strengths(np.array([np.e, 1.0])), [1.0, 0.0])
+    assert np.isnan(strengths(np.array([0.0, -1.0, np.nan, np.inf]))).all()
+    assert begun_strength(np.array([np.nan])).tolist() == [[0.0, 0.0]]
+
+
+@pytest.mark.parametrize(("kind", "least"), [(Pdaf, 18), (Nnkf, 18)])
+def test_a_track_stays_with_its_swimmer_when_it_turns_away_from_weaker_echoes(
+    kind: type[Any], least: int
+) -> None:
+    # Every six seconds something is left behind that stays for ten; the swimmer makes a turn there.
+    dt, stayed = 0.25, {None: 0, 0.4: 0}
+    for seed, sd in itertools.product(range(20), stayed):
+        rng = np.random.default_rng(seed)
+        tracker = kind(group_m=0.0, p_d=0.9, amplitude_sd=sd, estimate_noise=False, extent_sd_m=0.3)
+        xy, heading, left, first = np.array([20.0, -3.0]), rng.uniform(-np.pi, np.pi), [], 0
+        for k in range(240):
+            if k % 24 == 0:
+                left.append((k, xy.copy()))
+                turn = rng.choice([-1.0, 1.0])
+            heading += dt * turn if k % 24 < 12 else 0.0
+            xy = xy + dt * 0.5 * np.array([np.cos(heading), np.sin(heading)])
+            places = [xy, *(at for born, at in left if 8 < k - born < 40)]
+            level = [8.0, *[7.0] * (len(places) - 1)] + 0.3 * rng.standard_normal(len(places))
+            there = np.array(places) + 0.15 * rng.standard_normal((len(places), 2))
+            tracks = tracker(strong(k, there, np.exp(level), dt))
+            on = tracks.select(tracks.status == CONFIRMED)
+            near = np.hypot(*(on.state[:, :2] - xy).T) < 1.5
+            first = first or int(on.id[near][0] if near.any() else 0)
+        stayed[sd] += int(first in on.id[near])
+    assert stayed[0.4] >= least
+    assert stayed[0.4] > stayed[None]
+
+
+def strong(k: int, xy: FloatArray, amplitude: FloatArray, dt: float) -> Detections:
+    m = len(xy)
+    return Detections(
+        k, 10**9 + round(k * dt * 1e9), np.hypot(*xy.T), np.arctan2(xy[:, 1], xy[:, 0]), amplitude,
+        np.zeros((m, 2)), np.zeros((m, 2, 2)), np.zeros(m, np.uint8), VIEW,
+    )  # fmt: skip
 
 
 # --- fusion and grouping ------------------------------------------------------------------------------------
@@ -265,8 +398,9 @@ def parts_of(bank: TrackBank, events: list[list[int]], max_common: int = 3) -> l
     for event in events:
         rows["history"] = 1
         rows, keep, part = settle_by_score(
-            rows, bank.state, bank.covariance, np.array(event), (10, 5, 8.0), 20, 5.0, max_common
-        )
+            rows, bank.state, bank.covariance, np.array(event), np.zeros(2), (10, 5, 8.0), 20, 5.0, max_common,
+            False,
+        )  # fmt: skip
     assert keep.tolist() == [p < 0 for p in part]
     return [int(p) for p in part]
 
@@ -285,6 +419,55 @@ def test_a_tentative_track_is_part_of_a_confirmed_one_however_old() -> None:
     bank.ledger["status"] = [TENTATIVE, CONFIRMED]
     bank.ledger["history"], bank.ledger["span"] = 0b111111, 6
     assert parts_of(bank, [[4, 4]] * 3) == [1, -1]
+
+
+def pings_until_part_of(bank: TrackBank, none: list[float], max_common: int = 3) -> int:
+    """How many pings like this two tracks that share events out go on as two; 200: for good."""
+    rows = bank.ledger
+    for k in range(200):
+        rows["history"] = 1
+        rows, keep, part = settle_by_score(
+            rows, bank.state, bank.covariance, np.full(2, -1), np.array(none), (10, 5, 8.0), 20, 5.0, max_common,
+            True,
+        )  # fmt: skip
+        rows["hits"] += 1
+        if part.tolist() != [-1, -1]:
+            assert (part.tolist(), keep.tolist()) == ([-1, 0], [True, False])
+            return k
+    return 200
+
+
+def test_tracks_that_share_events_out_are_one_by_their_history() -> None:
+    bank = pair(0.5)
+    assert 2 <= pings_until_part_of(bank, [0.5, 0.5]) <= 10  # one event for both, and nothing before
+    bank.ledger["hits"] = 500
+    assert 35 <= pings_until_part_of(bank, [0.5, 0.5]) <= 45  # both long known
+    assert pings_until_part_of(bank, [0.1, 0.1]) == 200  # an event each
+    assert pings_until_part_of(bank, [1.0, 1.0]) == 200  # no event says nothing
+    assert pings_until_part_of(bank, [0.5, 0.5], max_common=0) == 200
+    far = pair(9.0)
+    assert pings_until_part_of(far, [0.5, 0.5]) == 200
+
+
+@KINDS
+def test_swimmers_who_meet_in_one_echo_part_with_their_own_tracks(kind: type[Any]) -> None:
+    dt, kept, seeds = 0.25, 0, 20
+    for seed in range(seeds):
+        rng, tracker = np.random.default_rng(seed), kind(group_m=0.0, p_d=0.9, extent_sd_m=0.2)
+        ids: list[list[int]] = []
+        for k in range(160):
+            along = 0.45 * dt * (k - 80)
+            both = np.array([[20.0 + along, 0.35 * along], [20.0 - 0.7 * along, 0.5 * along]])
+            apart = np.hypot(*(both[0] - both[1]))
+            there = both if apart > 0.8 else both.mean(axis=0, keepdims=True)
+            there = there[rng.random(len(there)) < 0.95]
+            there = there + 0.15 * rng.standard_normal(there.shape)
+            tracks = tracker(strong(k, there, np.ones(len(there)), dt))
+            on = tracks.select(tracks.status == CONFIRMED)
+            if k in (40, 159):
+                ids.append([int(on.id[np.hypot(*(on.state[:, :2] - one).T).argmin()]) for one in both])
+        kept += int(ids[0] == ids[1])
+    assert kept >= 0.85 * seeds
 
 
 @KINDS
@@ -316,7 +499,13 @@ def scene(observe: Make, seed: int, pings: int = 60, false: float = 6.0) -> list
 @KINDS
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"frame": "ned"}, {"group_m": 0.0, "estimate_noise": False}, {"hit": "gated", "p_g": 1.0}],
+    [
+        {"amplitude_sd": 0.4},
+        {"frame": "ned"},
+        {"group_m": 0.0, "estimate_noise": False},
+        {"hit": "gated", "p_g": 1.0},
+        {"sharing": "own"},
+    ],
 )
 def test_the_contract_of_nodes(observe: Make, kind: type[Any], settings: dict[str, Any]) -> None:
     check_node(kind(**settings), [{"detections": ping} for ping in scene(observe, 1)])
@@ -328,7 +517,7 @@ def test_the_contract_of_nodes(observe: Make, kind: type[Any], settings: dict[st
 def test_snapshot_and_restore_go_on_bit_for_bit(observe: Make, kind: type[Any], frame: str, at: int) -> None:
     nav = NavState(0, 0, (1.0, 2.0, 0.0), (0.0, 0.0, 0.3))
     pings = [replace(p, view=replace(p.view, nav=nav)) for p in scene(observe, 5)]
-    first, second = kind(frame=frame), kind(frame=frame)
+    first, second = kind(frame=frame, amplitude_sd=0.5), kind(frame=frame, amplitude_sd=0.5)
     for ping in pings[:at]:
         first(ping)
     saved = first.snapshot()
@@ -415,6 +604,9 @@ def test_a_huge_ping_is_bounded(observe: Make, kind: type[Any]) -> None:
         ("p_fa", 0.0),
         ("clutter", "none"),
         ("hit", "maybe"),
+        ("sharing", "all"),
+        ("amplitude_sd", 0.0),
+        ("resolution_m", -1.0),
         ("n1", 11),
         ("max_propagate", 62),
         ("max_propagate", -1),
@@ -478,7 +670,7 @@ def test_one_track_per_diver_for_1200_pings_in_clutter(kind: type[Any], false: f
             first = first or int(on.id[near][0] if near.any() else 0)
             held += int(first in on.id[near])
             covered += bool(near.any())
-            doubled += np.count_nonzero(near) > 1
+            doubled += int(np.count_nonzero(near) > 1)
             strangers += int(np.count_nonzero(~near))
     total = divers * pings
     assert held > 0.95 * total  # by the track that was there first

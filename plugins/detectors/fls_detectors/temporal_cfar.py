@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from fls_detectors.clutter_map import smoothed
 from fls_detectors.temporal_background import Rates, learn, rayleigh_threshold
-from fls_detectors.temporal_objects import objects
+from fls_detectors.temporal_objects import around, linked, objects
 from fls_flow import Detections, Ping, hookimpl
 
 __all__ = ["TemporalCfar", "TemporalPing"]
@@ -19,6 +19,10 @@ __all__ = ["TemporalCfar", "TemporalPing"]
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 FloatImage = npt.NDArray[np.float32]
+BoolImage = npt.NDArray[np.bool_]
+Strength = Literal["peak", "energy"]
+
+LEAST_SHARE = np.float32(0.05)  # of its height that a cell keeps, however long it has been there
 
 
 class TemporalPing(NamedTuple):
@@ -50,15 +54,24 @@ class TemporalCfar:
     that what is slow is not absorbed so soon.
     `floor` bounds sd from below; by default it is one step of integer amplitudes, else 0.
 
-    With `link_m`, cells are joined to one detection per object: those nearer to each other than that, in
-    chains; objects of fewer than `min_cells` are dropped. Its place is the mean weighted by the square of the
-    height above the background, with the spread of the cells as covariance.
+    Cells are joined to one detection per object with `link_m`: those nearer to each other than that, in
+    chains; or with `reach_m`: the strongest cell and what is within that distance of it, then the strongest
+    of the others, and so on, so that a wide echo, or two that touch, gives several. Objects of fewer than
+    `min_cells` are dropped. The place is the mean weighted by the square of the cells' height above the
+    background, with their spread as covariance; `strength` is that of the strongest cell (`peak`), or the
+    root of the sum of squared heights (`energy`), which tells a swimmer from its bubbles better.
+
+    With `recent_rate`, what has stayed in place counts less. With h the height above the background under a
+    Gaussian of `recent_cells` (range, beam), and r its mean over the pings before,
+    r += `recent_rate` (h - r), the weight is max(h - r, h / 20) in place of the height; and only cells with
+    h - r >= `fresh_share` h count for `min_cells`. So what a swimmer leaves behind (bubbles, stirred silt)
+    fades within some 1 / `recent_rate` pings, and so does a swimmer who keeps as still as that.
 
     `foreground` is the ping with max(0, X - mu) as amplitude, float32, under a Gaussian of `smooth_cells`
     (range, beam), which makes one region of an object that speckle has broken up; during warm-up it is zero.
 
     Source: Brinkmann 2010, (3.5), (4.1) and 4.1, with the prior mean, a signed statistic and a variance
-    recursion; event rate and objects are ours.
+    recursion; event rate, objects and recent past are ours.
     """
 
     pfa: float = 1e-4
@@ -69,12 +82,18 @@ class TemporalCfar:
     warm_up_pings: int = 20
     floor: float | None = None
     max_detections: int = 5_000  # the strongest cells are kept
-    link_m: float = 0.0  # 0: every cell is a detection
+    link_m: float = 0.0  # 0 here and in reach_m: every cell is a detection
+    reach_m: float = 0.0
     min_cells: int = 1  # of an object
+    strength: Strength = "peak"  # of an object
+    recent_rate: float | None = None  # None: how long a cell has been above its background does not matter
+    recent_cells: tuple[float, float] = (3.0, 2.0)  # standard deviations
+    fresh_share: float = 0.2
     smooth_cells: tuple[float, float] = (0.0, 0.0)  # of the foreground; standard deviations
     _count: int = field(default=0, init=False, repr=False)
     _mean: FloatImage = field(default_factory=_no_image, init=False, repr=False)
     _variance: FloatImage = field(default_factory=_no_image, init=False, repr=False)
+    _recent: FloatImage = field(default_factory=_no_image, init=False, repr=False)
     _range_m: FloatArray = field(default_factory=_no_table, init=False, repr=False)
     _bearing_rad: FloatArray = field(default_factory=_no_table, init=False, repr=False)
 
@@ -90,9 +109,17 @@ class TemporalCfar:
         self._require("event_rate", slow is None or 0.0 <= slow < 1.0, "from 0 to below 1")
         self._require("warm_up_pings", self.warm_up_pings >= 2, "at least 2, for a variance")
         self._require("floor", self.floor is None or 0.0 <= self.floor < math.inf, "finite and not negative")
-        self._require("link_m", 0.0 <= self.link_m < math.inf, "finite and not negative")
-        widths = self.smooth_cells
-        self._require("smooth_cells", all(0.0 <= w < math.inf for w in widths), "finite and not negative")
+        for name in ("link_m", "reach_m"):
+            self._require(name, 0.0 <= getattr(self, name) < math.inf, "finite and not negative")
+        if self.link_m and self.reach_m:
+            raise ValueError(f"reach_m is {self.reach_m} and link_m is {self.link_m}; give one of them")
+        self._require("strength", self.strength in get_args(Strength), f"one of {get_args(Strength)}")
+        recent = self.recent_rate
+        self._require("recent_rate", recent is None or 0.0 < recent < 1.0, "between 0 and 1")
+        self._require("fresh_share", 0.0 <= self.fresh_share <= 1.0, "from 0 to 1")
+        for name in ("smooth_cells", "recent_cells"):
+            widths = getattr(self, name)
+            self._require(name, all(0.0 <= w < math.inf for w in widths), "finite and not negative")
         for name in ("max_detections", "min_cells"):
             self._require(name, getattr(self, name) >= 1, "at least 1")
 
@@ -116,8 +143,18 @@ class TemporalCfar:
         if not warm:
             height = np.zeros_like(height)
         return TemporalPing(
-            self._detections(ping, cells, height), _foreground(ping, smoothed(height, self.smooth_cells))
+            self._detections(ping, cells, *self._weights(height)),
+            _foreground(ping, smoothed(height, self.smooth_cells)),
         )
+
+    def _weights(self, height: FloatImage) -> tuple[FloatImage, BoolImage]:
+        """What cells weigh in their object, and which count for its size; learns the recent past."""
+        if self.recent_rate is None:
+            return height, np.ones(height.shape, bool)
+        smooth = smoothed(height, self.recent_cells)
+        fresh = smooth - self._recent
+        self._recent += np.float32(self.recent_rate) * fresh
+        return np.maximum(fresh, LEAST_SHARE * smooth), fresh >= np.float32(self.fresh_share) * smooth
 
     def _begin_anew_if_changed(self, ping: Ping) -> None:
         same = (
@@ -129,6 +166,7 @@ class TemporalCfar:
             self._count = 0
             self._mean = np.zeros(ping.amplitude.shape, np.float32)
             self._variance = np.zeros(ping.amplitude.shape, np.float32)
+            self._recent = np.zeros(ping.amplitude.shape, np.float32)
             self._range_m, self._bearing_rad = ping.range_m.copy(), ping.bearing_rad.copy()
 
     def _rates(self, ping: Ping, warm: bool) -> Rates:
@@ -141,23 +179,27 @@ class TemporalCfar:
             floor = 1.0 if np.issubdtype(ping.amplitude.dtype, np.integer) else 0.0
         return Rates(mean, variance, *event, self.tau if warm else math.inf, floor)
 
-    def _detections(self, ping: Ping, cells: IntArray, height: FloatImage) -> Detections:
+    def _detections(self, ping: Ping, cells: IntArray, weight: FloatImage, counted: BoolImage) -> Detections:
         rows, beams = np.divmod(cells, max(ping.bearing_rad.size, 1))
         strength = ping.amplitude[rows, beams].astype(float)
         if cells.size > self.max_detections:
             keep = np.sort(np.argsort(-strength, kind="stable")[: self.max_detections])
             rows, beams, strength = rows[keep], beams[keep], strength[keep]
         range_m, bearing_rad = ping.range_m[rows], ping.bearing_rad[beams]
-        if not self.link_m or not rows.size:
+        if not (self.link_m or self.reach_m) or not rows.size:
             return Detections.of(ping, range_m=range_m, bearing_rad=bearing_rad, amplitude=strength)
+        energy = np.square(weight[rows, beams], dtype=float)
+        position = np.stack([range_m * np.cos(bearing_rad), range_m * np.sin(bearing_rad)], axis=1)
         joined = objects(
             range_m,
             bearing_rad,
             strength,
-            np.square(height[rows, beams], dtype=float),
-            link_m=self.link_m,
+            energy,
+            linked(position, self.link_m) if self.link_m else around(position, energy, self.reach_m),
             cell_sd=(ping.cell_m, abs(ping.beam_spacing_rad)),
+            counted=counted[rows, beams],
             min_cells=self.min_cells,
+            energy=self.strength == "energy",
         )
         return Detections.of(
             ping,
@@ -174,6 +216,7 @@ class TemporalCfar:
             "count": self._count,
             "mean": self._mean.copy(),
             "variance": self._variance.copy(),
+            "recent": self._recent.copy(),
             "range_m": self._range_m.copy(),
             "bearing_rad": self._bearing_rad.copy(),
         }
@@ -183,6 +226,7 @@ class TemporalCfar:
         self._count = int(state["count"])
         self._mean = np.array(state["mean"], np.float32)
         self._variance = np.array(state["variance"], np.float32)
+        self._recent = np.array(state["recent"], np.float32)
         self._range_m = np.array(state["range_m"], float)
         self._bearing_rad = np.array(state["bearing_rad"], float)
 

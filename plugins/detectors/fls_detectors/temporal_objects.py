@@ -9,10 +9,11 @@ import numpy.typing as npt
 
 from fls_flow.kernels import compiled, frozen
 
-__all__ = ["Objects", "linked", "objects"]
+__all__ = ["Objects", "around", "linked", "objects"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 SQRT2 = 1.4142136  # a hair more than the root: squares of side link / SQRT2 have a shorter diagonal
 
@@ -22,7 +23,7 @@ class Objects(NamedTuple):
 
     range_m: FloatArray
     bearing_rad: FloatArray
-    amplitude: FloatArray  # of the strongest cell
+    amplitude: FloatArray  # of the strongest cell, or the root of all cells' energy
     extent: FloatArray  # (n, 2): m, rad, from the first to the last cell
     covariance: FloatArray  # (n, 2, 2) of the cells about their mean, with one cell and one beam added
 
@@ -32,18 +33,18 @@ def objects(
     bearing_rad: FloatArray,
     strength: FloatArray,
     weight: FloatArray,
+    member: IntArray,
     *,
-    link_m: float,
     cell_sd: tuple[float, float],
+    counted: BoolArray,
     min_cells: int,
+    energy: bool,
 ) -> Objects:
-    """The groups of cells (n,) that `linked` finds, those with at least `min_cells` of them.
+    """The groups of cells (n,) that `member` numbers, those with at least `min_cells` `counted` (n,) ones.
 
     Mean and covariance are weighted by `weight` (positive); `cell_sd` squared (m, rad) is added to the
-    variances.
+    variances. The amplitude is the largest `strength`, or the root of the sum of weights (`energy`).
     """
-    position = np.stack([range_m * np.cos(bearing_rad), range_m * np.sin(bearing_rad)], axis=1)
-    member = linked(position, link_m)
     n = int(member.max(initial=-1)) + 1
     r, b, w = range_m, bearing_rad, weight
     total = np.bincount(member, w, n)
@@ -56,7 +57,9 @@ def objects(
     extent = np.stack([_spread(x, member, n) for x in (r, b)], axis=1)
     strongest = np.full(n, -np.inf)
     np.maximum.at(strongest, member, strength)
-    kept = np.flatnonzero(np.bincount(member, minlength=n) >= min_cells)
+    if energy:
+        strongest = np.sqrt(total)
+    kept = np.flatnonzero(np.bincount(member, counted, n) >= min_cells)
     kept = kept[np.lexsort((mean[kept, 1], mean[kept, 0]))]
     return Objects(mean[kept, 0], mean[kept, 1], strongest[kept], extent[kept], covariance[kept])
 
@@ -66,6 +69,38 @@ def _spread(values: FloatArray, member: IntArray, n: int) -> FloatArray:
     np.minimum.at(low, member, values)
     np.maximum.at(high, member, values)
     return np.asarray(high - low)
+
+
+def around(position_m: FloatArray, weight: FloatArray, reach_m: float) -> IntArray:
+    """(n,) the group of each point (n, 2): the heaviest one that is in none leads the next, of all in reach.
+
+    Those within `reach_m` of the leader that are in no group join it, so that no group is wider than twice
+    that. Groups are numbered by their weights, heaviest leader first.
+    """
+    order = np.argsort(-weight, kind="stable")
+    group = np.empty(order.size, np.int64)
+    group[order] = _around(frozen(position_m[order]), reach_m)
+    return group
+
+
+@compiled
+def _around(position_m: FloatArray, reach_m: float) -> IntArray:
+    """The groups of points in order of weight; each joins the first leader in reach."""
+    n = position_m.shape[0]
+    group, leader = np.empty(n, np.int64), np.empty(n, np.int64)
+    k = 0
+    for i in range(n):
+        group[i] = k
+        for g in range(k):
+            dx = position_m[i, 0] - position_m[leader[g], 0]
+            dy = position_m[i, 1] - position_m[leader[g], 1]
+            if dx * dx + dy * dy <= reach_m * reach_m:
+                group[i] = g
+                break
+        if group[i] == k:
+            leader[k] = i
+            k += 1
+    return group
 
 
 def linked(position_m: FloatArray, link_m: float) -> IntArray:

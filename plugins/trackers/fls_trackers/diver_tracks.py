@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self
+from typing import Any, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ from fls_flow.messages import Frame
 from fls_trackers.adaptive_noise import NOISE_COLUMNS, predict_each
 from fls_trackers.clutter import ClutterDensity, cell_density
 from fls_trackers.conversion import convert
+from fls_trackers.echo_strength import STRENGTH_COLUMNS, begun_strength, strengths
 from fls_trackers.fusion import Fusion, fused
 from fls_trackers.grouping import grouped
 from fls_trackers.initiation import by_place, strongest
@@ -25,17 +26,33 @@ from fls_trackers.settings import Grain, Settings
 from fls_trackers.single_target import follow, settle_by_score
 from fls_trackers.track_bank import MAX_WINDOW, TrackBank, new_tracks
 
-__all__ = ["DiverTracks"]
+__all__ = ["DiverTracks", "Sharing"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+
+Sharing = Literal["joint", "own"]
 
 TENTATIVE, LOST = int(TrackStatus.TENTATIVE), int(TrackStatus.LOST)
 
 
 def _no_noise() -> FloatArray:
     return np.zeros((0, NOISE_COLUMNS))
+
+
+def _no_strength() -> FloatArray:
+    return np.zeros((0, STRENGTH_COLUMNS))
+
+
+class _Events(NamedTuple):
+    """What a ping has seen, one event per object."""
+
+    range_m: FloatArray  # (m,)
+    bearing_rad: FloatArray  # (m,)
+    amplitude: FloatArray  # (m,)
+    y: FloatArray  # (m, 2) in the frame of the tracks
+    R0: FloatArray  # (m, 2, 2)
 
 
 @dataclass
@@ -48,17 +65,21 @@ class DiverTracks:
     settings: Settings
     frame: Frame
     one_event: bool
+    sharing: Sharing
     velocity_walk_mps: float
     max_propagate: int
     max_common_events: int
     fusion: Fusion
     group_m: float
+    resolution_m: float | None
     extent_sd_m: float
+    amplitude_sd: float | None
     estimate_noise: bool
     max_tracks: int
 
     _bank: TrackBank = field(default_factory=TrackBank, init=False, repr=False)
     _noise: FloatArray = field(default_factory=_no_noise, init=False, repr=False)
+    _strength: FloatArray = field(default_factory=_no_strength, init=False, repr=False)
     _clutter: ClutterDensity = field(init=False, repr=False)
     _place: Placement = field(init=False, repr=False)
     _next_id: int = field(default=1, init=False, repr=False)
@@ -68,12 +89,16 @@ class DiverTracks:
             raise ValueError(f"max_propagate = {self.max_propagate}: must be 0 to {MAX_WINDOW - 1}")
         if self.max_common_events < 0:
             raise ValueError(f"max_common_events = {self.max_common_events}: must be 0 (no fusion) or more")
-        if self.fusion not in ("algebraic", "covariance-intersection"):
-            raise ValueError(f"fusion = {self.fusion!r}: must be algebraic or covariance-intersection")
-        if not (math.isfinite(self.velocity_walk_mps) and self.velocity_walk_mps > 0.0):
-            raise ValueError(f"velocity_walk_mps = {self.velocity_walk_mps}: must be positive")
-        for name, value in (("group_m", self.group_m), ("extent_sd_m", self.extent_sd_m)):
-            if not (math.isfinite(value) and value >= 0.0):
+        for name, allowed in (("fusion", get_args(Fusion)), ("sharing", get_args(Sharing))):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must be {' or '.join(allowed)}")
+        for name in ("velocity_walk_mps", "amplitude_sd"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < math.inf:
+                raise ValueError(f"{name} = {value}: must be positive")
+        for name in ("group_m", "resolution_m", "extent_sd_m"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value < math.inf:
                 raise ValueError(f"{name} = {value}: must be 0 (off) or more")
         if self.max_tracks < 1:
             raise ValueError(f"max_tracks = {self.max_tracks}: must be at least 1")
@@ -94,89 +119,93 @@ class DiverTracks:
         dt_s = self._place.elapsed_s(detections)
         check_finite(detections)
         grain, pose = self._place.grain_of(detections.view), self._place.pose(detections)
-        r, b, level = self._events(detections)
-        y, R0 = convert(r, b, grain.range_sd_m, grain.bearing_sd_rad, pose or Pose())
-        R0 += self.extent_sd_m**2 * np.eye(2)
         if pose is None:
-            y, r, b = y[:0], r[:0], b[:0]
-        shown, noise, gated, claimed = self._followed(y, r, b, dt_s, pose, grain)
-        if pose is not None:
-            self._clutter.count(int(np.count_nonzero(~claimed)))
-            room = max(0, self.max_tracks - int(np.count_nonzero(shown.ledger["status"] != LOST)))
-            starts = self._starts(y, R0, ~gated, r, b, level, room)
-            shown = shown.joined(starts)
-            noise = np.concatenate([noise, np.zeros((len(starts), NOISE_COLUMNS))])
+            shown, noise, strength = self._unseen(dt_s)
+        else:
+            shown, noise, strength = self._seen(self._events(detections, grain, pose), dt_s, pose, grain)
         goes_on = shown.ledger["status"] != LOST
-        self._bank, self._noise = shown.select(goes_on), noise[goes_on]
+        self._bank, self._noise, self._strength = shown.select(goes_on), noise[goes_on], strength[goes_on]
         self._place.stamp_ns = detections.stamp_ns
         return shown.message(detections.seq, detections.stamp_ns, self.frame)
 
-    def _events(self, detections: Detections) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Range, bearing and amplitude (k,) of the events, one per object."""
+    def _events(self, detections: Detections, grain: Grain, pose: Pose) -> _Events:
         r, b, level = (
             frozen(row) for row in (detections.range_m, detections.bearing_rad, detections.amplitude)
         )
-        if self.group_m == 0.0:
-            return r, b, level
-        range_m, bearing_rad, group = grouped(r, b, level, self.group_m)
-        most = np.full(range_m.size, -np.inf)
-        np.maximum.at(most, group, np.nan_to_num(level, nan=-np.inf))
-        return frozen(range_m), frozen(bearing_rad), frozen(most)
+        if self.group_m > 0.0:
+            r, b, group = grouped(r, b, level, self.group_m)
+            most = np.full(r.size, -np.inf)
+            np.maximum.at(most, group, np.nan_to_num(level, nan=-np.inf))
+            r, b, level = frozen(r), frozen(b), frozen(most)
+        y, R0 = convert(r, b, grain.range_sd_m, grain.bearing_sd_rad, pose)
+        return _Events(r, b, level, y, R0 + self.extent_sd_m**2 * np.eye(2))
 
-    def _followed(
-        self, y: FloatArray, r: FloatArray, b: FloatArray, dt_s: float, pose: Pose | None, grain: Grain
-    ) -> tuple[TrackBank, FloatArray, BoolArray, BoolArray]:
-        """Tracks that go on or are lost, their noise; which events lie in gates, which in confirmed ones'."""
+    def _unseen(self, dt_s: float) -> tuple[TrackBank, FloatArray, FloatArray]:
+        """The predicted tracks of a ping that could not be placed."""
+        bank = self._bank
+        x, P = predict_each(bank.state, bank.covariance, dt_s, self.velocity_walk_mps, self._noise)
+        ledger = bank.ledger.copy()
+        ledger["age"] += 1
+        return TrackBank(x, P, ledger), self._noise, self._strength
+
+    def _seen(
+        self, events: _Events, dt_s: float, pose: Pose, grain: Grain
+    ) -> tuple[TrackBank, FloatArray, FloatArray]:
+        """Tracks that go on, are lost, or begin, with what they learnt of noise and strength."""
         s, bank = self.settings, self._bank
-        if pose is None:
-            x, P = predict_each(bank.state, bank.covariance, dt_s, self.velocity_walk_mps, self._noise)
-            ledger = bank.ledger.copy()
-            ledger["age"] += 1
-            return TrackBank(x, P, ledger), self._noise, np.zeros(0, bool), np.zeros(0, bool)
-        density = cell_density(r, *_reordered(self._clutter.terms(r, b, grain.area_m2), grain))
-        p_g = s.gate_probability
-        x, P, rows, noise, event, gated, claimed = follow(
+        clutter = self._clutter.terms(events.range_m, events.bearing_rad, grain.area_m2)
+        p_g, ln_amplitude = s.gate_probability, strengths(events.amplitude)
+        resolution_m = self.group_m if self.resolution_m is None else self.resolution_m
+        x, P, rows, noise, strength, event, none, known, claimed = follow(
             bank.state,
             bank.covariance,
             bank.ledger,
             self._noise,
-            y,
-            density,
+            self._strength,
+            events.y,
+            ln_amplitude,
+            cell_density(events.range_m, clutter[0], grain.cell_m, grain.spacing_rad, clutter[1]),
             (dt_s, self.velocity_walk_mps),
             (grain.range_sd_m, grain.bearing_sd_rad, pose.north_m, pose.east_m, pose.heading_rad),
-            self.extent_sd_m,
+            (self.extent_sd_m, self.amplitude_sd or 0.0, resolution_m),
             (s.gamma, s.p_d / (1.0 - s.p_d * p_g), 1.0 - s.p_d * p_g),
-            self.one_event,
-            s.hit == "probable",
-            self.estimate_noise,
+            (self.one_event, s.hit == "probable", self.estimate_noise, self.sharing == "joint"),
         )
-        confirm = (s.m1, s.n1, s.start_score)
+        self._clutter.count(int(np.count_nonzero(~claimed)))
         rows, keep, part = settle_by_score(
-            rows, x, P, event, confirm, self.max_propagate, s.max_sd_m, self.max_common_events
+            rows,
+            x,
+            P,
+            event,
+            none,
+            (s.m1, s.n1, s.start_score),
+            self.max_propagate,
+            s.max_sd_m,
+            self.max_common_events,
+            self.sharing == "joint",
         )
         for t in np.flatnonzero(part >= 0):
             other = part[t]
             x[other], P[other] = fused(x[other], P[other], x[t], P[t], self.fusion)
-        shown = keep | (rows["status"] == LOST)
-        return TrackBank(x, P, rows).select(shown), noise[shown], gated, claimed
+        shown = np.flatnonzero(keep | (rows["status"] == LOST))
+        which = self._chosen(events, ~known, self.max_tracks - int(np.count_nonzero(keep)))
+        return (
+            TrackBank(x, P, rows).select(shown).joined(self._starts(events, which)),
+            np.concatenate([noise[shown], np.zeros((which.size, NOISE_COLUMNS))]),
+            np.concatenate([strength[shown], begun_strength(ln_amplitude[which])]),
+        )
 
-    def _starts(
-        self,
-        y: FloatArray,
-        R0: FloatArray,
-        free: BoolArray,
-        r: FloatArray,
-        b: FloatArray,
-        level: FloatArray,
-        room: int,
-    ) -> TrackBank:
-        """Tentative tracks at the events that lie in no track's gate, at most `room`."""
+    def _chosen(self, events: _Events, free: BoolArray, room: int) -> IntArray:
+        """Which of the `free` events start tracks: at most `room`, the strongest ones, by place."""
         which = np.flatnonzero(free)
         if which.size > room:
             free = np.zeros_like(free)
-            free[strongest(which, level, room)] = True
+            free[strongest(which, events.amplitude, max(room, 0))] = True
+        return by_place(free, events.range_m, events.bearing_rad)
+
+    def _starts(self, events: _Events, which: IntArray) -> TrackBank:
         speed = self.settings.speed_sd_mps
-        starts = new_tracks(y, R0, (speed, speed), TENTATIVE, by_place(free, r, b))
+        starts = new_tracks(events.y, events.R0, (speed, speed), TENTATIVE, which)
         starts.ledger["id"] = np.arange(self._next_id, self._next_id + len(starts))
         self._next_id += len(starts)
         return starts
@@ -187,6 +216,7 @@ class DiverTracks:
             **self._bank.snapshot(),
             **self._clutter.snapshot(),
             "noise": self._noise.copy(),
+            "strength": self._strength.copy(),
             "next_id": self._next_id,
             "stamp_ns": self._place.stamp_ns,
         }
@@ -196,10 +226,7 @@ class DiverTracks:
         self._bank = TrackBank.restored(saved)
         self._clutter.restore(saved)
         self._noise = np.array(saved["noise"], float).reshape(-1, NOISE_COLUMNS)
+        self._strength = np.array(saved["strength"], float).reshape(-1, STRENGTH_COLUMNS)
         self._next_id = int(saved["next_id"])
         stamp = saved["stamp_ns"]
         self._place.stamp_ns = None if stamp is None else int(stamp)
-
-
-def _reordered(terms: tuple[float, float], grain: Grain) -> tuple[float, float, float, float]:
-    return terms[0], grain.cell_m, grain.spacing_rad, terms[1]

@@ -9,12 +9,14 @@ import numpy.typing as npt
 
 from fls_flow.kernels import compiled
 from fls_trackers.adaptive_noise import SENSOR, learn, predict_each
-from fls_trackers.association import INDEPENDENT, evidence, shared_out
+from fls_trackers.association import ASSIGNED, INDEPENDENT, JOINT, evidence, shared_out
 from fls_trackers.conversion import noise_of
+from fls_trackers.echo_strength import agreeing, learned
 from fls_trackers.gating import pairs_in_gates
 from fls_trackers.kalman import update
-from fls_trackers.life import CONFIRMED, LOST, TENTATIVE, count, distance, largest_sd, ones
+from fls_trackers.life import CONFIRMED, LOST, SEEN, TENTATIVE, UNRESOLVED, count, distance, largest_sd, ones
 from fls_trackers.track_bank import Ledger
+from fls_trackers.unresolved import common_events
 
 __all__ = ["Gains", "follow", "nearest", "settle_by_score"]
 
@@ -24,6 +26,8 @@ BoolArray = npt.NDArray[np.bool_]
 Gains = tuple[float, float, float]  # gamma, p_d / (1 - p_d p_g), 1 - p_d p_g
 
 SAME_GATE = 9.49  # statistical distance over position and velocity of tracks that may be one: 95 %
+MAX_SHARED = 14  # events that a cluster of tracks may share at a time, for exact probabilities
+LONG_KNOWN = 40  # pings: what a track's own past counts at most against being part of another
 
 
 @compiled
@@ -32,55 +36,119 @@ def follow(
     covariance: FloatArray,
     ledger: Ledger,
     noise: FloatArray,
+    strength: FloatArray,
     y: FloatArray,
+    ln_amplitude: FloatArray,
     density: FloatArray,
     motion: tuple[float, float],
     sensor: tuple[float, float, float, float, float],
-    extent_sd_m: float,
+    spread: tuple[float, float, float],
     gains: Gains,
-    one_event: bool,
-    only_probable: bool,
-    adaptive: bool,
-) -> tuple[FloatArray, FloatArray, Ledger, FloatArray, IntArray, BoolArray, BoolArray]:
-    """States, covariances, ledger and noise after the events `y` (m, 2); the tracks' own events.
+    choices: tuple[bool, bool, bool, bool],
+) -> tuple[
+    FloatArray, FloatArray, Ledger, FloatArray, FloatArray, IntArray, FloatArray, BoolArray, BoolArray
+]:
+    """States, covariances, ledger, noise and strength after the events `y` (m, 2).
 
-    Last come which events (m,) lie in a track's gate, and in a confirmed one's.
+    Then the tracks' own events (n,), the probability that they had none (n,), which events (m,) are no new
+    track's, and which lie in a confirmed track's gate.
 
-    `motion`: dt and velocity walk; `sensor`: sd in range and bearing, pose; `extent_sd_m` adds to both. Each
-    track weighs all events in its gate (PDAF), or takes the nearest (`one_event`, NNKF). An update is an
-    event in the gate; if `only_probable`, one more likely than none, and the NNKF then takes no other. The
-    track's own event is the most probable one, -1 when none is more probable. Confirmed tracks come first:
-    tentative ones get the events that more likely are no confirmed track's.
+    `motion`: dt and velocity walk; `sensor`: sd in range and bearing, pose; `spread`: sd of an echo's centre
+    (m) and of ln(amplitude), 0: not weighed, and the distance (m) of objects that may make one event.
+    `choices`: one_event, only_probable, adaptive, joint. Each track weighs all events in its gate (PDAF), or
+    takes the nearest (`one_event`, NNKF); if `joint`, by the probabilities of joint events, in which no event
+    is two tracks', or by the most probable one. An update is an event in the gate; if `only_probable`, one
+    more likely than none, and the NNKF then takes no other. The track's own event is the most probable one,
+    -1 when none is more probable. Confirmed tracks come first: tentative ones get the events that more likely
+    are no confirmed track's. An event that lies in a gate starts no track; if `joint`, it does unless it more
+    likely is some track's, or the best that a track has.
 
     Source: Brinkmann 2010 (3.20)-(3.31), with the density per m^2, 1 - p_d p_g for a miss, and a gate first.
     """
     gamma, factor, miss = gains
+    one_event, only_probable, adaptive, joint = choices
     x, P = predict_each(state, covariance, motion[0], motion[1], noise)
+    R = _noise(x, noise, sensor, spread[0])
+    start, places, likelihood = pairs_in_gates(x, P, R, y, gamma)
+    if spread[1] > 0.0:
+        likelihood = agreeing(likelihood, start, places, strength, ln_amplitude, spread[1])
+    beta, none, score, taken, claimed, in_gate = _shared(
+        start, places, likelihood, density, factor, ledger, one_event, only_probable, joint
+    )
+    event = _own(start, places, beta, none)
+    table = learn(noise, x, P, R, y, event) if adaptive else noise.copy()
+    where, moved, shares, rest, several = common_events(
+        start, places, beta, none, x, strength, y, spread[2] if joint else 0.0
+    )
+    x, P = update(x, P, R, moved, start, where, shares, rest)
+    hit = in_gate & (rest < 0.5) if only_probable else in_gate
+    levels = learned(strength, start, places, beta, ln_amplitude, motion[0])
+    for t in range(several.size):
+        if several[t]:  # the strength of a common echo is nobody's
+            levels[t] = strength[t]
+    known = _explained(start, places, beta, taken, joint)
+    rows = count(ledger, hit, np.where(several, rest, score), miss)
+    return x, P, rows, table, levels, event, none, known, claimed
+
+
+@compiled
+def _shared(
+    start: IntArray,
+    places: IntArray,
+    likelihood: FloatArray,
+    density: FloatArray,
+    factor: float,
+    ledger: Ledger,
+    one_event: bool,
+    only_probable: bool,
+    joint: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]:
+    """beta (pairs,), beta_none (n,) and its part in the score; taken and claimed (m,), in_gate (n,)."""
+    rank = np.zeros(ledger.size, np.int64)
+    for t in range(ledger.size):
+        rank[t] = ledger[t].status == TENTATIVE
+    assigned = joint and one_event and only_probable
+    sharing = (ASSIGNED if assigned else JOINT) if joint else INDEPENDENT
+    beta, none, taken, claimed, in_gate, _ = shared_out(
+        start, places, likelihood, density, factor, rank, MAX_SHARED, sharing
+    )
+    score = none
+    if one_event:
+        if not assigned:
+            least = density / factor if only_probable else np.zeros(density.size)
+            beta, none = nearest(start, places, np.where(beta > 0.0, likelihood, -1.0), least)
+        score = evidence(start, places, likelihood, density, factor, beta, none)
+    return beta, none, score, taken, claimed, in_gate
+
+
+@compiled
+def _noise(
+    x: FloatArray, noise: FloatArray, sensor: tuple[float, float, float, float, float], extent_sd_m: float
+) -> FloatArray:
+    """R (n, 2, 2) of each track's events: the sensor's noise, and how the echo's centre wanders."""
     R = noise_of(x, sensor[0], sensor[1], sensor[2], sensor[3], sensor[4])
     for t in range(R.shape[0]):
         for a in range(2):
             R[t, a, a] += extent_sd_m * extent_sd_m
         R[t] *= math.exp(noise[t, SENSOR])
-    start, places, likelihood = pairs_in_gates(x, P, R, y, gamma)
-    rank = np.zeros(ledger.size, np.int64)
-    for t in range(ledger.size):
-        rank[t] = ledger[t].status == TENTATIVE
-    beta, none, _, claimed, in_gate, _ = shared_out(
-        start, places, likelihood, density, factor, rank, 1, INDEPENDENT
-    )
-    score = none
-    if one_event:
-        least = density / factor if only_probable else np.zeros(density.size)
-        beta, none = nearest(start, places, np.where(beta > 0.0, likelihood, -1.0), least)
-        score = evidence(start, places, likelihood, density, factor, beta, none)
-    event = _own(start, places, beta, none)
-    table = learn(noise, x, P, R, y, event) if adaptive else noise.copy()
-    x, P = update(x, P, R, y, start, places, beta, none)
-    hit = in_gate & (none < 0.5) if only_probable else in_gate
-    gated = np.zeros(density.size, np.bool_)
-    for j in places:
-        gated[j] = True
-    return x, P, count(ledger, hit, score, miss), table, event, gated, claimed
+    return R
+
+
+@compiled
+def _explained(
+    start: IntArray, places: IntArray, beta: FloatArray, taken: FloatArray, joint: bool
+) -> BoolArray:
+    """Which events (m,) start no track."""
+    known = np.zeros(taken.size, np.bool_)
+    for t in range(start.size - 1):
+        best = -1
+        for e in range(start[t], start[t + 1]):
+            known[places[e]] |= not joint or taken[places[e]] > 0.5
+            if beta[e] > (beta[best] if best >= 0 else 0.0):
+                best = e
+        if best >= 0:
+            known[places[best]] = True
+    return known
 
 
 @compiled
@@ -116,10 +184,12 @@ def settle_by_score(
     state: FloatArray,
     covariance: FloatArray,
     event: IntArray,
+    none: FloatArray,
     confirm: tuple[int, int, float],
     max_propagate: int,
     max_sd_m: float,
     max_common: int,
+    joint: bool,
 ) -> tuple[Ledger, BoolArray, IntArray]:
     """The ledger with new statuses, which tracks go on (n,), and the one each is part of (n,), -1: none.
 
@@ -127,7 +197,10 @@ def settle_by_score(
     it. `confirm` is (m1, n1, score): a tentative track is confirmed with n1 updates in its last m1 pings and
     that log likelihood ratio, and ends when the updates cannot be reached any more. Either ends with a
     position less certain than max_sd_m. Two tracks are one when they had the same own event in each of their
-    last `max_common` common updates, and are as near as if they followed one object.
+    last `max_common` common updates, and are as near as if they followed one object. If `joint`, no event is
+    two tracks' own: then they are one when, as near as that, they explained one event together, rather than
+    two, `max_common` times more often than the younger was updated before (at most 40 are held against it).
+    So two long known swimmers who meet are still two when they part.
 
     Source: Brinkmann 2010, 3.4, with tentative tracks and the test of nearness added.
     """
@@ -146,7 +219,9 @@ def settle_by_score(
     for level in (CONFIRMED, TENTATIVE):
         for t in range(table.size if max_common else 0):
             if rows[t].status == level and keep[t]:
-                part[t] = _other_self(t, rows["status"], table, keep, state, covariance, event, max_common)
+                part[t] = _other_self(
+                    t, rows["status"], table, keep, state, covariance, event, none, max_common, joint
+                )
                 keep[t] = part[t] < 0
     for t in range(table.size):
         if table[t].status == CONFIRMED and not keep[t]:
@@ -163,12 +238,16 @@ def _other_self(
     state: FloatArray,
     covariance: FloatArray,
     event: IntArray,
+    none: FloatArray,
     max_common: int,
+    joint: bool,
 ) -> int:
     """The track that track t is part of, after counting their common events in `table`; -1: none.
 
     That one is confirmed if t is, and the older of two that both are, or both are not.
     """
+    if joint:
+        return _repeated(t, status, table, keep, state, covariance, none, max_common)
     row = table[t]
     for j in range(table.size):
         senior = status[j] > status[t] or (status[j] == status[t] and j < t)
@@ -183,4 +262,34 @@ def _other_self(
             return j if near else -1
         if table[j].id == row.rival:
             row.rival, row.rival_pings = 0, 0
+    return -1
+
+
+@compiled
+def _repeated(
+    t: int,
+    status: IntArray,
+    table: Ledger,
+    keep: BoolArray,
+    state: FloatArray,
+    covariance: FloatArray,
+    none: FloatArray,
+    max_common: int,
+) -> int:
+    """The same for tracks that share events out: both are near, and have about one event together."""
+    row, scratch = table[t], np.empty((5, 4))
+    for j in range(table.size):
+        senior = status[j] > status[t] or (status[j] == status[t] and j < t)
+        if not (senior and keep[j]) or distance(state, covariance, t, j, scratch) > SAME_GATE:
+            continue
+        explained = 2.0 - none[t] - none[j]
+        if row.rival != table[j].id:
+            row.rival, row.rival_pings = table[j].id, 0
+        if explained > UNRESOLVED:
+            row.rival_pings = max(0, row.rival_pings - 2)
+        elif explained > SEEN:
+            row.rival_pings += 1
+        past = min(max(row.hits - row.rival_pings, 0), LONG_KNOWN) if status[t] == CONFIRMED else 0
+        return j if row.rival_pings >= max_common + past else -1
+    row.rival_pings = max(0, row.rival_pings - 1)
     return -1
