@@ -200,13 +200,30 @@ def test_mean_energy_has_its_rate_and_sees_no_change_of_level():
 
 
 def test_ring_energy_is_the_mean_of_what_is_known():
-    power = np.random.default_rng(1).random((40, 6)).astype(np.float32)
+    power = np.random.default_rng(1).random((40, 6))
     known = np.random.default_rng(2).random((40, 6)) < 0.8
     power[~known] = 0.0
-    energy = ring_energy(power, known, 3)
+    energy = ring_energy(power.sum(axis=1), known.sum(axis=1), 3)
     for m in (0, 1, 20, 39):
         rows = slice(max(m - 3, 0), m + 4)
         assert energy[m] == pytest.approx(power[rows][known[rows]].mean(), rel=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_mean_energy_knows_nothing_of_cells_without_data(dtype: type):
+    amplitude = np.minimum(20.0 * clutter(9, (300, 60)), 255.0).astype(dtype)
+    valid = np.ones(amplitude.shape, bool)
+    amplitude[100:110, 5], valid[100:110, 5] = 255, False
+    if dtype is np.float32:
+        amplitude[200, 7] = np.inf
+    cells, known = amplitude.astype(float), valid & np.isfinite(amplitude)
+    slow = np.zeros(amplitude.shape, bool)
+    for m in range(300):
+        rows = slice(max(m - 26, 0), m + 27)  # 1 m to either side
+        limit = -np.log(0.05) * np.mean(np.square(cells[rows][known[rows]]))
+        slow[m] = known[m] & (np.square(cells[m]) > limit)
+    found = MeanEnergy(pfa=0.05, window_m=2.0)(around(amplitude, valid=valid))
+    assert len(found) == blobs_of(around(amplitude), slow).peak.size > 100
 
 
 def test_nodes_keep_the_contract():

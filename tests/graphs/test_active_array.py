@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from fls_beamformers.delay_and_sum import DelayAndSum
+from fls_beamformers.pulse_compression import PulseCompression
 from fls_flow import Tracks, TrackStatus, Truth, wire
 from fls_flow import graph as graphs
 from fls_flow.runtime import Options, Run
 from fls_flow.testing import run_graph
 
+ROOT = Path(__file__).parents[2]
 NEAR = [
     "scene.range_max_m=140",
     "scene.target_min_m=80",
@@ -63,6 +69,14 @@ def test_blobs_at_13_db_are_one_track(play: Play, seed: int):
     assert strangers(tracks, truth) < 2
 
 
+@pytest.mark.parametrize("pfa", ["1e-3", "3e-3"])
+def test_clutter_that_persists_does_not_become_tracks(play: Play, pfa: str):
+    settings = ("scene.pings=45", "scene.scr_db=13", "scene.seed=15", "scene.clutter_correlation_pings=3")
+    tracks, truth = play("active_array", *settings, f"cfar.pfa={pfa}")
+    assert followed(tracks, truth)[15:].mean() > 0.9
+    assert strangers(tracks, truth) == 0
+
+
 def test_integration_at_7_db_finds_what_blobs_do_not(play: Play):
     settings = ("scene.pings=45", "scene.scr_db=7", "scene.seed=13")
     tracks, truth = play("active_array_tbd", *settings)
@@ -74,6 +88,35 @@ def test_integration_at_7_db_finds_what_blobs_do_not(play: Play):
 def test_the_benchmarks_of_the_paper_track_a_strong_target(play: Play, graph: str):
     tracks, truth = play(graph, "scene.pings=35", "scene.scr_db=17", "scene.seed=14")
     assert followed(tracks, truth)[25:].mean() > 0.7
+
+
+@pytest.fixture
+def images(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The images that benchmarks/active_array.py makes once for all strengths."""
+    name = "active_array_images"
+    spec = importlib.util.spec_from_file_location(name, ROOT / "benchmarks" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, name, module)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("correlation_pings", [0.0, 3.0])
+def test_an_echo_that_is_added_later_is_that_of_a_simulation(images: ModuleType, correlation_pings: float):
+    strengths = (5.0, 13.0)
+    quick = images.Images(4, correlation_pings, strengths, 3)
+    far_m = quick.far_m + 1.0
+    straight = [iter(images.scene(4, correlation_pings, scr_db, 3, far_m)()) for scr_db in strengths]
+    beams = DelayAndSum(range_min_m=quick.near_m, range_max_m=quick.far_m)
+    for place in quick:
+        for image, pings in zip(place.images, straight, strict=True):
+            block, truth = next(pings)
+            expected = beams(PulseCompression()(block))
+            np.testing.assert_allclose(image.amplitude, expected.amplitude, atol=2e-5)
+            assert np.array_equal(image.range_m, expected.range_m)
+            assert np.array_equal(place.truth.state, truth.state)
 
 
 def test_the_same_bits_in_threads_and_in_order(tmp_path: Path):

@@ -11,10 +11,13 @@ import pytest
 from scipy.stats import chi2
 
 from fls_flow import Detections, NavState, Tracks, TrackStatus, View
-from fls_flow.geometry import to_polar, wrap
+from fls_flow.geometry import Pose, to_polar, wrap
 from fls_flow.testing import check_node
 from fls_trackers.ncv_auction import NcvAuction
+from fls_trackers.ncv_bank import ROW
 from fls_trackers.ncv_lobes import companions, lobe_response
+from fls_trackers.ncv_polar import along_arc, polar_noise, residuals, robust_noise
+from fls_trackers.ncv_score import turns
 from fls_trackers.ncv_steps import predict_each
 
 FloatArray = npt.NDArray[np.float64]
@@ -138,6 +141,88 @@ def test_errors_match_covariances(assignment: str):
         d2.append(e @ np.linalg.solve(tracks.covariance[0], e))
     low, high = chi2.ppf([0.001, 0.999], 4 * runs) / runs
     assert low < np.mean(d2) < high
+
+
+def test_polar_innovations_are_sharp_in_range_however_vague_the_bearing():
+    """Ranges and range rates as good as the pulse, though a third of the bearings are those of lobes."""
+    runs, off, d2 = 40, [], []
+    for run in range(runs):
+        rng = np.random.default_rng(run)
+        start, velocity = np.array([100.0, 20.0]), 0.4 * rng.standard_normal(2)
+        tracker = NcvAuction(
+            conversion="polar",
+            range_sd_m=0.05,
+            bearing_sd_deg=4.0,
+            sigma_v_mps2=0.01,
+            v_max_mps=0.5,
+            gate_threshold=1e-6,
+        )
+        for k in range(40):
+            r, b = echo_of(k, start, velocity)
+            noise = rng.standard_normal(2) * [0.05, np.radians(0.7)]
+            lobe = np.radians(rng.choice([0.0, 0.0, 0.0, 0.0, -6.0, 6.0]))
+            tracks = tracker(blobs(k, r + noise[0], b + noise[1] + lobe))
+        x, P = tracks.state[0], tracks.covariance[0]
+        truth = start + 39 * velocity
+        u = truth / np.hypot(*truth)
+        off.append([np.hypot(*x[:2]) - np.hypot(*truth), u @ (x[2:] - velocity)])
+        u, e = x[:2] / np.hypot(*x[:2]), x[:2] - truth
+        d2.append(
+            (e[1] * u[0] - e[0] * u[1]) ** 2
+            / (P[0, 0] * u[1] ** 2 + P[1, 1] * u[0] ** 2 - 2 * P[0, 1] * u[0] * u[1])
+        )
+    assert np.sqrt(np.mean(np.square(off), axis=0)) == pytest.approx([0.0, 0.0], abs=0.06)
+    assert np.mean(d2) < 1.6
+
+
+def test_polar_innovations_and_noise_lie_along_and_across_the_line_of_sight():
+    pose = Pose(30.0, -20.0, 0.7)
+    position = np.array([[80.0, 40.0], [-10.0, -90.0]])
+    r, b = to_polar(pose.to_sensor(position))
+    nu = residuals(position, np.stack([r + 0.3, wrap(b + 0.01)], axis=1), pose)
+    u = (position - pose.origin_m) / r[:, None]
+    left = np.stack([-u[:, 1], u[:, 0]], axis=1)
+    np.testing.assert_allclose((nu * u).sum(axis=1), 0.3, atol=1e-9)
+    np.testing.assert_allclose((nu * left).sum(axis=1), 0.01 * r, atol=1e-9)
+    R = polar_noise(position, 0.1, 0.05, pose)
+    np.testing.assert_allclose(np.einsum("ni,nij,nj->n", u, R, u), 0.01)
+    np.testing.assert_allclose(np.einsum("ni,nij,nj->n", left, R, left), (0.05 * r) ** 2)
+    # Far bearings count less, near ones more; ranges as they were.
+    P = np.tile(np.eye(4), (2, 1, 1))
+    nu = np.stack([0.1 * left[0], 5.0 * 0.05 * r[1] * left[1]])
+    changed = robust_noise(nu, position, P, R, pose)
+    np.testing.assert_allclose(np.einsum("ni,nij,nj->n", u, changed, u), 0.01)
+    wide = np.einsum("ni,nij,nj->n", left, changed, left) / (0.05 * r) ** 2
+    assert wide[0] < 0.2
+    assert wide[1] > 2.0
+
+
+def test_a_correction_across_keeps_range_and_range_rate():
+    pose = Pose(5.0, 5.0, 0.0)
+    before = np.array([[105.0, 5.0, 0.3, 0.1]])
+    after = before + np.array([0.0, 8.0, 0.0, 0.0])
+    state, P = along_arc(before, after, np.diag([0.01, 25.0, 1e-4, 0.04])[None], pose)
+    off = state[0, :2] - pose.origin_m
+    assert np.hypot(*off) == pytest.approx(100.0)
+    assert np.arctan2(off[1], off[0]) == pytest.approx(0.08)
+    u = off / 100.0
+    assert u @ state[0, 2:] == pytest.approx(0.3)
+    assert u @ P[0, :2, :2] @ u == pytest.approx(0.01)
+    assert u @ P[0, 2:, 2:] @ u == pytest.approx(1e-4)
+
+
+def test_those_of_high_score_choose_first():
+    rows = np.zeros(4, ROW)
+    rows["status"] = [
+        TrackStatus.TENTATIVE,
+        TrackStatus.CONFIRMED,
+        TrackStatus.TENTATIVE,
+        TrackStatus.TENTATIVE,
+    ]
+    rows["score"] = [7.0, -5.0, 3.0, 0.0]
+    assert [np.flatnonzero(turn).tolist() for turn in turns(rows, "score")] == [[1], [0], [2], [3]]
+    assert [np.flatnonzero(turn).tolist() for turn in turns(rows, "confirmed")] == [[1], [0, 2, 3]]
+    assert len(turns(rows, "none")) == 1
 
 
 def test_going_back_undoes_going_on_without_noise():
@@ -284,7 +369,8 @@ def test_memory_is_bounded(caplog: pytest.LogCaptureFixture):
         {},
         {
             "cost": "likelihood",
-            "priority": "confirmed",
+            "conversion": "polar",
+            "priority": "score",
             "snr_db": 6.0,
             "assignment": "hungarian",
             "hydrophones_m": PLUS,
@@ -309,6 +395,9 @@ def test_the_contract_is_kept(settings: dict[str, object], observe: Callable[...
         {"p_d": 2.0},
         {"band_hz": (5.0, 2.0)},
         {"assignment": "greedy"},
+        {"conversion": "raw"},
+        {"lobe_range_m": -1.0},
+        {"drop_score": np.inf},
         {"hydrophones_m": ((0.0, 0.0),)},
     ],
 )

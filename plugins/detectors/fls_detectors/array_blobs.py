@@ -51,7 +51,7 @@ def blobs_of(ping: Ping, hits: BoolArray, *, by_power: bool = False) -> Blobs:
 
     Source: Abu 2024 (10), (11); the weights and the closed circle are ours.
     """
-    row, beam = np.nonzero(hits)
+    row, beam = np.divmod(np.flatnonzero(hits), max(hits.shape[1], 1))
     of, n = joined_hits(row, beam, hits.shape[1], closes_circle(ping.bearing_rad))
     amplitude = ping.amplitude[row, beam].astype(float)
     weight = amplitude**2 if by_power else np.ones(row.size)

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fls_detectors.array_blobs import blobs_of
 from fls_flow import Detections, Ping, hookimpl
+from fls_flow.kernels import compiled, frozen
 
 __all__ = ["MeanEnergy", "ring_energy"]
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+ALL_VALID: BoolArray = np.zeros((0, 0), bool)
 
 
 @dataclass
@@ -48,13 +53,10 @@ class MeanEnergy:
         """The detections of one ping."""
         if ping.range_m.size < 2 or not ping.bearing_rad.size:
             return Detections.of(ping, range_m=[], bearing_rad=[], amplitude=[])
-        known = np.isfinite(ping.amplitude)
-        if ping.valid is not None:
-            known &= ping.valid
-        power = np.where(known, ping.amplitude, 0).astype(np.float32) ** 2
+        amplitude, valid = frozen(ping.amplitude), frozen(ALL_VALID if ping.valid is None else ping.valid)
         half = int(0.5 * self.window_m / ping.cell_m + 0.5)
-        limit = -np.log(self.pfa) * ring_energy(power, known, half)
-        found = blobs_of(ping, power > limit[:, None].astype(np.float32))
+        limit = -np.log(self.pfa) * ring_energy(*_row_energies(amplitude, valid), half)
+        found = blobs_of(ping, _above(amplitude, valid, limit.astype(np.float32)))
         found = found.select(found.cells >= self.min_cells)
         if found.peak.size > self.max_detections:
             found = found.select(np.sort(np.argsort(-found.peak, kind="stable")[: self.max_detections]))
@@ -69,18 +71,47 @@ class MeanEnergy:
         )
 
 
-def ring_energy(power: npt.NDArray[np.float32], known: npt.NDArray[np.bool_], half: int) -> FloatArray:
-    """Mean of `power` (n_ranges, n_beams) over the known cells of the rows m - half .. m + half, (n_ranges,).
+def ring_energy(total: FloatArray, count: IntArray, half: int) -> FloatArray:
+    """Mean power of the known cells of the rows m - half .. m + half, (n_ranges,); where none is known, 0.
 
-    Where none is known, 0.
+    `total` and `count` (n_ranges,) are the power and the number of the known cells of each row.
     """
-    total, count = power.sum(axis=1, dtype=float), np.count_nonzero(known, axis=1)
     sums = np.concatenate([[0.0], np.cumsum(total)]), np.concatenate([[0], np.cumsum(count)])
     rows = np.arange(total.size)
     low, high = np.maximum(rows - half, 0), np.minimum(rows + half + 1, rows.size)
     number = sums[1][high] - sums[1][low]
     mean: FloatArray = np.maximum(sums[0][high] - sums[0][low], 0.0) / np.maximum(number, 1)
     return mean
+
+
+@compiled
+def _row_energies(amplitude: npt.NDArray[Any], valid: BoolArray) -> tuple[FloatArray, IntArray]:
+    """Power and number of the cells of each row that are finite and valid."""
+    n_ranges, n_beams = amplitude.shape
+    total, count = np.zeros(n_ranges), np.zeros(n_ranges, np.int64)
+    lanes = np.zeros(8)  # added to in turn, so that no sum waits for the one before
+    for r in range(n_ranges):
+        lanes[:] = 0.0
+        known = 0
+        for b in range(n_beams):
+            x = np.float32(amplitude[r, b])
+            good = np.isfinite(x) and (valid.size == 0 or valid[r, b])
+            lanes[b & 7] += x * x if good else np.float32(0.0)
+            known += good
+        total[r], count[r] = lanes.sum(), known
+    return total, count
+
+
+@compiled
+def _above(amplitude: npt.NDArray[Any], valid: BoolArray, limit: npt.NDArray[np.float32]) -> BoolArray:
+    """Which known cells have more power than the limit of their row."""
+    n_ranges, n_beams = amplitude.shape
+    hits = np.zeros((n_ranges, n_beams), np.bool_)
+    for r in range(n_ranges):
+        for b in range(n_beams):
+            x = np.float32(amplitude[r, b])
+            hits[r, b] = np.isfinite(x) and x * x > limit[r] and (valid.size == 0 or valid[r, b])
+    return hits
 
 
 @hookimpl

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fls_flow import Tracks
+from fls_flow import Tracks, TrackStatus
 from fls_flow.messages import Frame
 from fls_trackers.ncv_steps import predict_each
 
@@ -29,6 +29,8 @@ ROW = np.dtype(
         ("span", np.int64),  # pings that the history covers
         ("score", np.float64),  # log likelihood ratio of a target against clutter, since it began
         ("level", np.float64),  # mean log amplitude of its blobs
+        ("range_m", np.float64),  # of its last blob
+        ("bearing_rad", np.float64),
         ("mirrored", np.int64),  # pings for which it has seemed to be a lobe of a stronger one, net
     ]
 )
@@ -45,6 +47,20 @@ class NcvBank:
     state: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))  # x, y (m), vx, vy (m/s)
     covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)))
     rows: Rows = field(default_factory=_no_rows)
+
+    @classmethod
+    def at_rest(cls, position_m: FloatArray, covariance: FloatArray, v_max_mps: float, rows: Rows) -> NcvBank:
+        """Tracks that begin at positions (n, 2) with covariances (n, 2, 2), velocities of sd `v_max_mps`."""
+        state, whole = np.zeros((rows.size, 4)), np.zeros((rows.size, 4, 4))
+        state[:, :2], whole[:, :2, :2] = position_m, covariance
+        whole[:, 2, 2] = whole[:, 3, 3] = v_max_mps**2
+        return cls(state, whole, rows)
+
+    @property
+    def alive(self) -> npt.NDArray[np.bool_]:
+        """Which tracks have not ended."""
+        alive: npt.NDArray[np.bool_] = self.rows["status"] != TrackStatus.LOST
+        return alive
 
     def __len__(self) -> int:
         return self.rows.size

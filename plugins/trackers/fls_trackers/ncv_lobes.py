@@ -2,19 +2,68 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
-from fls_flow.geometry import to_cartesian
+from fls_flow.geometry import Pose, to_cartesian, to_polar
 from fls_flow.kernels import compiled
 
-__all__ = ["companions", "lobe_response"]
+__all__ = ["Lobes", "companions", "lobe_response"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 LAGS = 33  # lags at which the response is looked for, per pair of bearings
+MARGIN = float(np.log(2.0) / 2.0)  # 3 dB above what the array would show of the stronger one
+
+
+@dataclass(frozen=True, slots=True)
+class Lobes:
+    """How tracks are told to be lobes of others.
+
+    Raises ValueError for bad values.
+    """
+
+    lobe_range_m: float  # 0: never
+    lobe_speed_mps: float
+    hydrophones_m: tuple[tuple[float, float], ...]  # () : unknown, any bearing may be a lobe
+    band_hz: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.lobe_range_m < np.inf:
+            raise ValueError(f"lobe_range_m must be finite and not negative, not {self.lobe_range_m}")
+        if not 0.0 < self.lobe_speed_mps < np.inf:
+            raise ValueError(f"lobe_speed_mps must be positive and finite, not {self.lobe_speed_mps}")
+        if not 0.0 <= self.band_hz[0] < self.band_hz[1] < np.inf:
+            raise ValueError(f"band_hz must be two increasing frequencies, not {self.band_hz}")
+        if len(self.hydrophones_m) == 1 or not np.isfinite(np.array(self.hydrophones_m, float)).all():
+            raise ValueError(f"hydrophones_m must be two or more places, not {self.hydrophones_m}")
+
+    def among(
+        self, state: FloatArray, level: FloatArray, chosen: BoolArray, pose: Pose, sound_speed_mps: float
+    ) -> BoolArray:
+        """Which of the `chosen` tracks (n,) seem to be lobes of stronger ones; `level`: log amplitudes."""
+        found = np.zeros(len(state), bool)
+        if self.lobe_range_m == 0.0 or np.count_nonzero(chosen) < 2:
+            return found
+        range_m, bearing_rad = to_polar(pose.to_sensor(state[:, :2]))
+        along = (state[:, :2] - pose.origin_m) / np.maximum(range_m, 1e-9)[:, None]
+        rate = (along * state[:, 2:]).sum(axis=1)
+        weaker, stronger = companions(range_m, rate, level, chosen, self.lobe_range_m, self.lobe_speed_mps)
+        if self.hydrophones_m:
+            response = lobe_response(
+                np.array(self.hydrophones_m, float),
+                self.band_hz,
+                sound_speed_mps,
+                bearing_rad[stronger],
+                bearing_rad[weaker],
+            )
+            weaker = weaker[level[weaker] <= level[stronger] + np.log(response + 1e-12) + MARGIN]
+        found[weaker] = True
+        return found
 
 
 def lobe_response(

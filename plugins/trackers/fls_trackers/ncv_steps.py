@@ -6,12 +6,20 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_flow.kernels import compiled
-from fls_trackers.kalman import predict
 
-__all__ = ["blobs_in_gates", "predict_each"]
+__all__ = ["blobs_in_gates", "log_likelihoods", "predict_each"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+
+
+def log_likelihoods(nu: FloatArray, P: FloatArray, R: FloatArray) -> FloatArray:
+    """ln N(nu; 0, H P H^T + R), (n,), of the innovations (n, 2) of tracks."""
+    S = P[:, :2, :2] + R
+    det = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2
+    d2 = S[:, 1, 1] * nu[:, 0] ** 2 - 2.0 * S[:, 0, 1] * nu[:, 0] * nu[:, 1] + S[:, 0, 0] * nu[:, 1] ** 2
+    log_likelihood: FloatArray = -0.5 * d2 / det - np.log(2.0 * np.pi * np.sqrt(det))
+    return log_likelihood
 
 
 @compiled
@@ -25,9 +33,25 @@ def predict_each(
     Source: Abu 2024 (16)-(18), (21).
     """
     x, P = state.copy(), covariance.copy()
+    q = sigma_v_mps2 * sigma_v_mps2
     for t in range(dt_s.size):
-        one, two = predict(state[t : t + 1], covariance[t : t + 1], dt_s[t], sigma_v_mps2)
-        x[t], P[t] = one[0], two[0]
+        dt = dt_s[t]
+        q_pp, q_pv, q_vv = q * dt**4 / 4.0, q * dt**3 / 2.0, q * dt**2
+        p = P[t]
+        for a in range(2):
+            x[t, a] += dt * x[t, a + 2]
+            for b in range(a, 2):
+                pv, vp, vv = p[a, b + 2], p[a + 2, b], p[a + 2, b + 2]
+                p[a, b] += dt * (pv + vp) + dt * dt * vv
+                p[a, b + 2] = pv + dt * vv
+                p[b, a + 2] = vp + dt * vv
+                if a == b:
+                    p[a, a] += q_pp
+                    p[a, a + 2] += q_pv
+                    p[a + 2, a + 2] += q_vv
+        for a in range(4):
+            for b in range(a):
+                p[a, b] = p[b, a]
     return x, P
 
 
@@ -37,6 +61,7 @@ def blobs_in_gates(
     covariance: FloatArray,
     R: FloatArray,
     y: FloatArray,
+    axis: FloatArray,
     track_polar: FloatArray,
     blob_polar: FloatArray,
     coarse: tuple[float, float],
@@ -47,10 +72,11 @@ def blobs_in_gates(
     """Pairs of a track and a blob in both of its gates, as `auction.Pairs`.
 
     Coarse: ranges and bearings of `track_polar` (n, 2) and `blob_polar` (m, 2) differ by at most
-    `coarse`. Fine: d2 = nu^T S^-1 nu <= gamma, S = H P H^T + R. The cost is d2; or, with a
-    `gain` (m,) for each blob, less the log likelihood ratio gain_j + ln N(nu; S), from the largest of all
-    pairs on, and pairs that say less for a target than the `miss` of all blobs are left out. `blob_polar`
-    comes in order of range.
+    `coarse`. Fine: d2 = nu^T S^-1 nu <= gamma, S = H P H^T + R, with nu = y - H x or, with an `axis` (n, 2)
+    for each track, the unit vector from the sonar, the differences of range and bearing along and across it.
+    The cost is d2; or, with a `gain` (m,) for each blob, less the log likelihood ratio gain_j + ln N(nu; S),
+    from the largest of all pairs on, and pairs that say less for a target than the `miss` of all blobs are
+    left out. `blob_polar` comes in order of range.
 
     Source: Abu 2024 (24)-(27).
     """
@@ -75,6 +101,13 @@ def blobs_in_gates(
             off = abs(blob_polar[j, 1] - track_polar[t, 1]) % (2.0 * np.pi)
             if min(off, 2.0 * np.pi - off) <= coarse[1]:
                 e1, e2 = y[j, 0] - state[t, 0], y[j, 1] - state[t, 1]
+                if axis.size:
+                    along = blob_polar[j, 0] - track_polar[t, 0]
+                    turn = blob_polar[j, 1] - track_polar[t, 1]
+                    turn -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
+                    across = track_polar[t, 0] * turn
+                    e1 = axis[t, 0] * along - axis[t, 1] * across
+                    e2 = axis[t, 1] * along + axis[t, 0] * across
                 d2 = (e1 * (s22 * e1 - s12 * e2) + e2 * (s11 * e2 - s12 * e1)) / det
                 if d2 <= gamma and gain.size == 0:
                     places[k], cost[k] = j, d2
