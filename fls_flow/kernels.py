@@ -1,7 +1,7 @@
 """One way to compile loops over cells, particles or hypotheses; importing this loads numba.
 
-A kernel's machine code on disk is renewed when the kernel's own file changes, but not when only a file
-changes whose kernels it calls: after such an edit, touch the caller's file.
+A kernel's machine code on disk is renewed when the text of its own file changes, but not when only a file
+changes whose kernels it calls: after such an edit, delete the caller's `.nbi` and `.nbc` in `__pycache__`.
 """
 
 from __future__ import annotations

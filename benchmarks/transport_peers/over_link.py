@@ -38,6 +38,7 @@ __all__ = [
     "window",
 ]
 
+
 @dataclass(frozen=True, eq=False)
 class Block(Sealed):
     """What the peers send: an array."""
