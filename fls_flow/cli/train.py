@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fls_flow.cli.common import JSON, screen
+from fls_flow.cli.common import JSON, SET, USE, screen
 from fls_flow.errors import UserError
 
 if TYPE_CHECKING:
@@ -27,6 +27,14 @@ SETTINGS = ("train_share", "seed", *CHOICE, *COSTS)
 @click.command()
 @click.argument("paths", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
 @click.option("--truth", type=click.Path(exists=True, path_type=Path), help="truth.csv [beside the tables].")
+@click.option("--labels", type=click.Path(exists=True, path_type=Path),
+              help="What the tracks are: track_id,class [labels.csv beside the tables].")  # fmt: skip
+@click.option("--graph", default="diver_labelling", show_default=True,
+              help="What describes the tracks of recordings.")  # fmt: skip
+@click.option("--runs", type=click.Path(path_type=Path), default=Path("runs/train"), show_default=True,
+              help="Where its runs over recordings go, and are found again.")  # fmt: skip
+@USE
+@SET
 @click.option("--test", multiple=True, type=click.Path(exists=True, path_type=Path),
               help="Runs to hold out; without it, a part of the targets of PATHS. Repeatable.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), default=Path("training"), show_default=True,
@@ -56,12 +64,13 @@ SETTINGS = ("train_share", "seed", *CHOICE, *COSTS)
               show_default=True, help="What features are chosen for; the model serves both.")  # fmt: skip
 @click.option("--no-progress", is_flag=True, help="No progress bar.")
 @JSON
-def train(paths: tuple[Path, ...], as_json: bool, **options: Any) -> None:
-    """Train classifiers on PATHS: feature tables (CSV, Parquet), runs that wrote some, or folders of runs.
+def train(paths: tuple[Path, ...], **options: Any) -> None:
+    """Train classifiers on PATHS: recordings, feature tables (CSV, Parquet), or folders of either.
 
-    What a track is comes from the truth beside the tables, from labels.csv (track_id,class) or from a column
-    `class`. Each table's name is a set of features (static, temporal); each set gets a model, and a chapter
-    of the report.
+    Recordings are run through the graph first, with the pings of the recording in place of its own. What a
+    track is comes from the truth beside the recording or table, from labels.csv (track_id,class) or from a
+    column `class`. Each table's name is a set of features (static, temporal); each set gets a model, and a
+    chapter of the report.
 
     \b
     Examples:
@@ -69,16 +78,17 @@ def train(paths: tuple[Path, ...], as_json: bool, **options: Any) -> None:
       fls-flow train runs/diver-training --against-rest --discriminant quadratic --positive diver
       fls-flow train runs/seeds-0-9 --test runs/seeds-10-19 --out training/held-out-by-seed
       fls-flow train features.parquet --truth truth.csv --by-track
+      fls-flow train harbour.npz --set sonar.range_max_m=60 --labels labels.csv --miss-cost 100
     """
     from fls_flow.tools.train_report import document, refuse_to_replace, tables, write
 
     refuse_to_replace(options["out"])
     labelling, settings = _settings(options)
     lessons, provenance = _lessons(paths, labelling, settings, options)
-    shown = not (as_json or options["no_progress"])
+    shown = not (options["as_json"] or options["no_progress"])
     outcomes = _outcomes(lessons, settings, provenance, shown=shown)
     written = write(options["out"], outcomes, settings)
-    if as_json:
+    if options["as_json"]:
         click.echo(json.dumps({"out": str(options["out"]), "sets": document(outcomes)}))
         return
     for name, outcome in outcomes.items():
@@ -114,14 +124,38 @@ def _lessons(
     from fls_flow.tools.train_samples import gather, only
     from fls_flow.tools.train_tables import find_runs
 
+    tables, test = _described(paths, options), _described(options["test"], options)
     with screen(stderr=True).status("reading"):
-        sets, provenance = gather(find_runs(paths, options["truth"]), labelling)
-        held_out = gather(find_runs(options["test"]), labelling)[0] if options["test"] else None
+        sets, provenance = gather(find_runs(tables, options["truth"], options["labels"]), labelling)
+        held_out = gather(find_runs(test), labelling)[0] if test else None
     if options["only"]:
         sets = {name: only(one, options["only"]) for name, one in sets.items()}
         if held_out is not None:
             held_out = {name: only(one, options["only"]) for name, one in held_out.items()}
     return tools.lessons(sets, held_out, settings), provenance
+
+
+def _described(paths: tuple[Path, ...], options: dict[str, Any]) -> list[Path]:
+    """The tables to read: recordings become runs of the graph."""
+    from rich.progress import Progress
+
+    from fls_flow.tools.train_recordings import Describing, prepared
+
+    how = Describing(options["graph"], options["runs"], options["use"], options["set_"])
+    shown = not (options["as_json"] or options["no_progress"])
+    with Progress(console=screen(stderr=True), disable=not shown, transient=True) as bar:
+
+        def told(recording: Path) -> Any:
+            task = bar.add_task(f"{recording.name}: describing tracks")
+            return lambda done, total: bar.update(task, completed=done, total=total)
+
+        taken, unknown = prepared(paths, how, told)
+    if unknown and not (options["truth"] or options["labels"]):
+        raise UserError(
+            f"{unknown[0]}: nothing says what its tracks are; look at its pictures, write labels.csv "
+            "(track_id,class) into it, then run the same command again"
+        )
+    return taken
 
 
 def _outcomes(

@@ -19,7 +19,7 @@ from fls_flow.errors import FlsFlowError, RunError
 from fls_flow.graph import Graph
 from fls_flow.graph.check import checked
 from fls_flow.graph.read import Source, override
-from fls_flow.runtime import Options, Report, Run, describe
+from fls_flow.runtime import Options, Report, Run, RunFolder, describe
 
 __all__ = ["RUN_FIGURES", "Row", "Task", "Watched", "graph_of", "installed", "run_cell"]
 
@@ -97,11 +97,20 @@ def _scores(task: Task) -> dict[str, float | None]:
     graph = graph_of(task.source, task.set_)
     _same_versions(task.versions, describe(graph)["versions"])
     if task.keep is not None:
-        task.keep.mkdir(parents=True)
-        return _run(graph, task.watched, task.keep)
+        return _kept(graph, task.watched, RunFolder.create(graph, task.keep))
     graph = _without_other_sinks(graph, task.watched)
     with TemporaryDirectory(prefix="fls-sweep-") as folder:
-        return _run(graph, task.watched, Path(folder))
+        report, files = _run(graph, task.watched, Path(folder))
+        return _judged(graph, report, files)
+
+
+def _kept(graph: Graph, watched: tuple[Watched, ...], folder: RunFolder) -> dict[str, float | None]:
+    """The scores of a cell whose files stay, with the `run.json` that any run has."""
+    about = describe(graph)
+    folder.record({"status": "running", **about})
+    report, files = _run(graph, watched, folder.path)
+    folder.record({**about, **report.summary()})
+    return _judged(graph, report, files)
 
 
 def _without_other_sinks(graph: Graph, watched: tuple[Watched, ...]) -> Graph:
@@ -121,7 +130,7 @@ def _same_versions(expected: Mapping[str, str], found: Mapping[str, str]) -> Non
         raise RunError(f"the worker has {', '.join(other)}; install the same on all workers")
 
 
-def _run(graph: Graph, watched: tuple[Watched, ...], folder: Path) -> dict[str, float | None]:
+def _run(graph: Graph, watched: tuple[Watched, ...], folder: Path) -> tuple[Report, dict[str, Path]]:
     catalog = installed()
     files = {one.kind: folder / f"{one.kind.removesuffix('-csv')}s.csv" for one in watched}
     sinks = {one: catalog.load(one.kind).cls(path=files[one.kind]) for one in watched}
@@ -136,6 +145,11 @@ def _run(graph: Graph, watched: tuple[Watched, ...], folder: Path) -> dict[str, 
     for one, sink in sinks.items():
         if one.sink is None:
             sink.close()
+    return report, files
+
+
+def _judged(graph: Graph, report: Report, files: Mapping[str, Path]) -> dict[str, float | None]:
+    """What a run that ended well tells; raises what ended it."""
     if report.error is not None:
         raise report.error
     return {**_figures(graph, report), **_scored(files)}

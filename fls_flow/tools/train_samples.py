@@ -122,7 +122,10 @@ def _followed(run: Run, path: Path, labelling: Labelling) -> Followed:
             f"{path}: has no column class, and no tracks.csv lies beside it; let the graph write one"
         )
     if run.truth is None:
-        raise UserError(f"{path}: has no column class, and no truth.csv lies beside it; name it with --truth")
+        raise UserError(
+            f"{path}: has no column class, and no truth.csv lies beside it; name it with --truth, or write "
+            "what the tracks are into labels.csv beside it: track_id,class"
+        )
     return follow(run.tracks, run.truth, gate_m=labelling.gate_m, share=labelling.share)
 
 

@@ -18,9 +18,11 @@ IntArray = npt.NDArray[np.int64]
 def halves(samples: Sequence[Samples], share: float, rng: np.random.Generator) -> IntArray:
     """The groups that are trained on: `share` of each class's, at least one, never all; alike in all sets.
 
-    Raises UserError for a class with one group.
+    Raises UserError for a class with one group, and where there is no class.
     """
     words = sorted({name for one in samples for name in one.classes})
+    if not words:
+        raise UserError("no row of the tables has a class; do labels or truth name tracks that are in them?")
     chosen: list[IntArray] = []
     for word in words:
         groups = np.unique(np.concatenate([_groups(one, word) for one in samples]))

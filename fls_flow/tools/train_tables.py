@@ -16,7 +16,7 @@ import numpy.typing as npt
 from fls_flow.errors import UserError
 from fls_flow.evaluate.columns import Layout, Reader
 
-__all__ = ["FeatureTable", "Run", "find_runs", "read_labels", "read_table", "run_record"]
+__all__ = ["FeatureTable", "Run", "find_runs", "read_labels", "read_table", "run_record", "tables_under"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -49,24 +49,27 @@ class FeatureTable:
     digest: str  # of the file's bytes
 
 
-def find_runs(paths: Sequence[Path], truth: Path | None = None) -> tuple[Run, ...]:
+def find_runs(
+    paths: Sequence[Path], truth: Path | None = None, labels: Path | None = None
+) -> tuple[Run, ...]:
     """The runs in files and folders; a folder without tables gives those of the folders in it.
 
-    Tracks and truth lie beside a table; `truth` takes the place of theirs. Raises UserError for a path
-    without a feature table.
+    Tracks, truth and labels lie beside a table; `truth` and `labels` take the place of theirs. Raises
+    UserError for a path without a feature table.
     """
     found: dict[Path, list[Path]] = {}
     for path in paths:
-        files = [path] if not path.is_dir() else _tables_under(path)
+        files = [path] if not path.is_dir() else tables_under(path)
         if not files:
             raise UserError(f"{path}: holds no feature table; let a graph write one with feature-table")
         for file in files:
             if file not in found.setdefault(file.parent, []):
                 found[file.parent].append(file)
-    return tuple(_run(folder, files, truth) for folder, files in found.items())
+    return tuple(_run(folder, files, truth, labels) for folder, files in found.items())
 
 
-def _tables_under(folder: Path) -> list[Path]:
+def tables_under(folder: Path) -> list[Path]:
+    """The feature tables in a folder; in one without any, those in all folders below."""
     own = [path for path in _files(folder.iterdir()) if _is_table(path)]
     return own or [path for path in _files(folder.rglob("*")) if _is_table(path)]
 
@@ -80,12 +83,13 @@ def _is_table(path: Path) -> bool:
     return set(KEYS) <= set(header) and "x_m" not in header
 
 
-def _run(folder: Path, files: list[Path], truth: Path | None) -> Run:
+def _run(folder: Path, files: list[Path], truth: Path | None, labels: Path | None) -> Run:
     beside = [path for path in _files(folder.iterdir()) if path.suffix.lower() == ".csv"]
     headers = {path: _header(path) for path in beside}
     tracks = [path for path, header in headers.items() if {"track_id", "x_m"} <= set(header)]
     known = [truth] if truth else [path for path, header in headers.items() if "target_id" in header]
     said = [path for path, header in headers.items() if set(header) == {"track_id", CLASS}]
+    said = [labels] if labels else said
     for what, several in (("tracks", tracks), ("truth", known), ("labels", said)):
         if len(several) > 1:
             raise UserError(f"{several[0]} and {several[1]}: both hold {what}; leave one in the folder")

@@ -1,5 +1,6 @@
 """The nodes `linear-discriminant` and `quadratic-discriminant`."""
 
+import itertools
 import math
 
 import numpy as np
@@ -137,6 +138,38 @@ def test_memory_joins_the_evidence(one_feature, described):
         node.model.unlink()
 
 
+def test_with_handover_labels_are_those_of_a_hidden_markov_model(one_feature, described):
+    """P(diver) after x_1, x_2, ...: every path of classes through the pings, weighed."""
+    h, x = 0.1, [-2.0, -1.5, 0.2, 1.8, 1.9]
+    node = LinearDiscriminant(one_feature(), memory=1.0, handover=h)
+    for n, one in enumerate(x):
+        found = node(described(n, {1: [one]}, ("x",)))
+        total = np.zeros(2)
+        for path in itertools.product((0, 1), repeat=n + 1):
+            chance = 0.5
+            for k, c in enumerate(path):
+                step = 1.0 if k == 0 else (1 - h) * (c == path[k - 1]) + h / 2
+                chance *= step * math.exp(-((x[k] - (-1.0, 1.0)[c]) ** 2) / 2.0)
+            total[path[-1]] += chance
+        assert_allclose(found.posterior[0], total / total.sum())
+
+
+def test_a_track_that_changes_hands_is_soon_called_by_what_it_follows_now(one_feature, described):
+    sure = [{1: [-4.0]}] * 50 + [{1: [4.0]}]
+    stubborn = LinearDiscriminant(one_feature(), memory=1.0)
+    supple = LinearDiscriminant(stubborn.model, memory=1.0, handover=0.01)
+    for n, rows in enumerate(sure):
+        old, new = (labels_of(node(described(n, rows, ("x",)))) for node in (stubborn, supple))
+    assert (old, new) == ({1: "diver"}, {1: "seal"})
+
+
+def test_a_track_has_no_label_before_it_was_described_often_enough(one_feature, described):
+    node = LinearDiscriminant(one_feature(), memory=1.0, min_descriptions=2)
+    rows = [{1: [0.3], 2: [-5.0]}, {}, {1: [-0.5]}, {2: [-5.0]}]
+    got = [labels_of(node(described(seq, one, ("x",)))) for seq, one in enumerate(rows)]
+    assert got == [{}, {}, {1: "diver"}, {1: "diver", 2: "diver"}]  # the first description counts too
+
+
 def test_features_that_are_no_numbers_say_nothing(model_file, described):
     node = LinearDiscriminant(model_file())
     node(described(0, {1: [0.0, 0.0, 0.0]}))
@@ -164,7 +197,7 @@ def test_nodes_keep_the_contract(cls, model_file, described, alive, rng):
         }
         for seq in range(10)
     ]
-    check_node(cls(path, memory=0.7, hold_pings=2), firings)
+    check_node(cls(path, memory=0.7, hold_pings=2, min_descriptions=2, handover=0.1), firings)
     with_tracks = [firing | {"tracks": alive(seq, [seq % 3, 3])} for seq, firing in enumerate(firings)]
     check_node(cls(path), with_tracks)
 
@@ -177,6 +210,8 @@ def test_nodes_keep_the_contract(cls, model_file, described, alive, rng):
         ({"false_alarm_cost": math.inf}, "false_alarm_cost is inf"),
         ({"memory": 1.5}, "memory is 1.5"),
         ({"hold_pings": 0}, "hold_pings is 0"),
+        ({"handover": 1.5}, "handover is 1.5"),
+        ({"min_descriptions": 0}, "min_descriptions is 0"),
     ],
 )
 @pytest.mark.parametrize("cls", NODES)

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import wiener
+from scipy.sparse.csgraph import connected_components
 
-from fls_features.growing import central, grown, seeds, smoothed, thresholds, within
+from fls_features.growing import central, grown, reach, seeds, smoothed, thresholds, within
 
 
 def slow_wiener(chip, height, width):
@@ -135,3 +136,40 @@ def test_the_threshold_itself_is_not_exceeded():
 
 def test_a_region_may_fill_the_whole_chip():
     assert grown(np.ones((1, 300, 40)), np.array([[150, 20]]), np.array([0.5])).all()
+
+
+def joined_by_pairs(image, seed, threshold, high, wide):
+    """Every pair of bright cells, and the component of the seed."""
+    cells = np.argwhere(image > threshold)
+    apart = np.abs(cells[:, None] - cells[None])
+    near = (apart[..., 0] / max(high, 1)) ** 2 + (apart[..., 1] / max(wide, 1)) ** 2 <= 1.0
+    near |= apart.max(axis=2) <= 1
+    _, part = connected_components(near)
+    mask = np.zeros(image.shape, bool)
+    mine = part == part[np.flatnonzero((cells == seed).all(axis=1))[0]]
+    mask[tuple(cells[mine].T)] = True
+    return mask
+
+
+@pytest.mark.parametrize("span", [(0.0, 0.0), (1.0, 1.0), (3.0, 2.0), (2.6, 4.9), (0.4, 3.2), (1e9, 1e9)])
+def test_regions_leap_over_gaps_as_pairs_of_cells_do(rng, span):
+    chips = rng.random((5, 24, 15))
+    seed = seeds(chips, np.ones(chips.shape, bool))
+    threshold = np.full(5, 0.9)
+    found = grown(chips, seed, threshold, np.tile(span, (5, 1)))
+    for chip, mask, one in zip(chips, found, seed, strict=True):
+        assert_array_equal(mask, joined_by_pairs(chip, one, 0.9, *span))
+
+
+def test_without_reach_neighbours_alone_are_joined(rng):
+    chips = rng.random((8, 24, 15))
+    seed = seeds(chips, np.ones(chips.shape, bool))
+    assert_array_equal(
+        grown(chips, seed, np.full(8, 0.7), np.zeros((8, 2))), grown(chips, seed, np.full(8, 0.7))
+    )
+
+
+def test_a_gap_spans_fewer_beams_farther_out():
+    found = reach(0.6, np.array([10.0, 40.0]), 0.1, 0.005)
+    assert_allclose(found, [[6.0, 12.0], [6.0, 3.0]])
+    assert_array_equal(reach(0.6, np.array([10.0]), np.nan, np.nan), [[0.0, 0.0]])  # one row of one beam

@@ -93,12 +93,21 @@ def test_messages_travel(make_chips, rng):
     assert wire.decode(wire.encode(chips), Chips).amplitude.dtype == np.uint8
 
 
+def test_two_parts_of_a_body_are_one_region_up_to_the_gap(make_chips):
+    """Torso and legs, 5 dark rows of 0.1 m between them: their cells are 0.6 m apart."""
+    chip = object_in((60, 20), 20, 10, (4, 2)) + object_in((60, 20), 34, 10, (4, 2), 12.0)
+    for gap_m, rows in ((0.0, 9), (0.55, 9), (0.6001, 18)):
+        node = RegionGrowing(filter_rows=1, filter_columns=1, level=0.2, gap_m=gap_m)
+        assert node(make_chips([chip])).mask[0].any(axis=1).sum() == rows
+
+
 def test_the_node_keeps_the_contract(make_chips, rng):
     firings = [
         {"chips": make_chips(rng.rayleigh(1.0, (n, 50, 11)).astype(np.float32), seq=n)}
         for n in (0, 1, 4, 0, 2)
     ]
     check_node(RegionGrowing(), firings)
+    check_node(RegionGrowing(gap_m=0.3), firings)
 
 
 @pytest.mark.parametrize(
@@ -110,6 +119,7 @@ def test_the_node_keeps_the_contract(make_chips, rng):
         ({"level": float("nan")}, "level is nan"),
         ({"seed_within_m": 0.0}, "seed_within_m is 0.0"),
         ({"max_fill": 0.0}, "max_fill is 0.0"),
+        ({"gap_m": -0.1}, "gap_m is -0.1"),
     ],
 )
 def test_bad_values_are_named(parameters, says):

@@ -9,7 +9,7 @@ from fls_features.chip_messages import Chips, Regions
 from fls_features.shape import CELL_NAMES, METRIC_NAMES
 from fls_features.static_features import StaticFeatures
 from fls_features.temporal_features import TemporalFeatures
-from fls_flow import Features
+from fls_flow import Features, Tracks
 from fls_flow.testing import check_node
 
 
@@ -69,6 +69,28 @@ def test_static_features_keep_the_contract(make_pair):
     firings = [{"chips": chips, "regions": regions} for chips, regions in pairs]
     check_node(StaticFeatures(), firings)
     check_node(StaticFeatures(shape="metres"), firings)
+
+
+def tracks_of(ids, velocity):
+    n = len(ids)
+    state = np.zeros((n, 4))
+    state[:, 2:] = velocity
+    ints = np.zeros(n, np.int64)
+    return Tracks(0, 5, np.array(ids, np.int64), np.ones(n, np.uint8), state, np.zeros((n, 4, 4)), ints, ints)
+
+
+def test_with_tracks_the_speed_of_each_follows_the_ten(make_pair):
+    chips, regions = make_pair(3, kept=[True, False, True])
+    tracks = tracks_of([9, 3, 2, 1], [[0.0, 0.0], [0.3, -0.4], [7.0, 7.0], [-1.2, 0.5]])
+    plain, found = (StaticFeatures("metres")(chips, regions, *given) for given in ((), (tracks,)))
+    assert found.names == (*METRIC_NAMES, "speed_mps")
+    assert_array_equal(found.values[:, :-1], plain.values)
+    assert_allclose(found.values[:, -1], [1.3, 0.5])
+    nobody = StaticFeatures("metres")(Chips(1, 2), Regions(1, 2), tracks_of([], np.zeros((0, 2))))
+    assert (nobody.names, nobody.values.shape) == (found.names, (0, 11))
+    with pytest.raises(ValueError, match=r"chips are of tracks \[3\], which are not there"):
+        StaticFeatures()(chips, regions, tracks_of([1, 2], np.zeros((2, 2))))
+    check_node(StaticFeatures(), [{"chips": chips, "regions": regions, "tracks": tracks}] * 3)
 
 
 def test_bad_values_are_named():

@@ -107,8 +107,8 @@ def test_training_writes_both_tables_and_the_truth(tmp_path):
         name: (tmp_path / f"{name}.csv").read_text().split("\n", 2)[0] for name in ("static", "temporal")
     }
     assert heads["static"].startswith("seq,stamp_ns,track_id,area_m2,perimeter_m,")
-    assert len(heads["static"].split(",")) == 3 + 10
-    assert len(heads["temporal"].split(",")) == 3 + 40
+    assert len(heads["static"].split(",")) == 3 + 11
+    assert len(heads["temporal"].split(",")) == 3 + 44
     assert len((tmp_path / "temporal.csv").read_text().splitlines()) > 10
     assert {"tracks.csv", "truth.csv"} <= {path.name for path in tmp_path.iterdir()}
 

@@ -122,7 +122,9 @@ def test_sinks_of_the_graph_and_taps_give_the_same_scores(sweep, toys):
     tables = [rows(toys / out) for out in ("toy0", "toy_sinks0", "toy_sinks1")]
     assert tables[0] == tables[1] == tables[2]
     kept = toys / "toy_sinks1" / "cells" / "0"
-    assert {path.name for path in kept.iterdir()} == {"tracks.csv", "truths.csv", "count.txt"}
+    assert {path.name for path in kept.iterdir()} == {"tracks.csv", "truths.csv", "count.txt", "run.json"}
+    record = json.loads((kept / "run.json").read_text())
+    assert (record["status"], record["nodes"]["tracker"]["with"]["bias_m"]) == ("finished", 1.0)
 
 
 def test_a_folder_of_recordings_is_run(sweep, toys):

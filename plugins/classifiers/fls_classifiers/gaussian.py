@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -10,11 +11,13 @@ import numpy.typing as npt
 
 from fls_classifiers.labels import Costs, TrackLabels
 from fls_flow import Classes, Features, InputError, Tracks
-from fls_flow.model_files import Model, missing_features
+from fls_flow.discriminants import Scaling
+from fls_flow.model_files import Model, load, missing_features
 
-__all__ = ["Discriminants", "GaussianLabels"]
+__all__ = ["Discriminants", "GaussianClassifier"]
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 
 class Discriminants(Protocol):
@@ -24,34 +27,60 @@ class Discriminants(Protocol):
         """(n, c) ln P(x | class) P(class), but for a term that all classes share."""
 
 
-class GaussianLabels:
-    """The labels of tracks by the discriminants of a model."""
+def _none() -> IntArray:
+    return np.zeros(0, np.int64)
 
-    def __init__(
-        self,
-        path: Path,
-        model: Model,
-        discriminants: Discriminants,
-        costs: tuple[str | None, float | None, float | None],
-        memory: float,
-        hold_pings: int,
-    ) -> None:
-        positive, miss, false_alarm = costs
-        self._path, self._model, self._discriminants = path, model, discriminants
+
+@dataclass
+class GaussianClassifier:
+    """What the classifiers by Gaussian discriminants share: all but how a model becomes discriminants."""
+
+    model: Path
+    positive: str | None = None
+    miss_cost: float | None = None  # of taking the positive class for another
+    false_alarm_cost: float | None = None  # of taking another for the positive class
+    memory: float = 0.0
+    hold_pings: int = 100
+    min_descriptions: int = 1
+    handover: float = 0.0
+    _model: Model = field(init=False, repr=False)
+    _scaling: Scaling = field(init=False, repr=False)
+    _log_prior: FloatArray = field(init=False, repr=False)
+    _discriminants: Discriminants = field(init=False, repr=False)
+    _costs: Costs = field(init=False, repr=False)
+    _labels: TrackLabels = field(init=False, repr=False)
+    _names: tuple[str, ...] = field(default=(), init=False, repr=False)  # of the features that come
+    _columns: IntArray = field(default_factory=_none, init=False, repr=False)  # those that the model takes
+
+    def __post_init__(self) -> None:
+        self._model = load(Path(self.model))
+        self._scaling = self._model.scaling
+        self._log_prior = np.log(self._model.gaussians.prior)
+        try:
+            self._discriminants = self._of(self._model)
+        except ValueError as error:
+            raise InputError(f"{self.model}: {error}") from error
         self._costs = Costs(
-            model.class_names,
-            model.positive if positive is None else positive,
-            model.miss_cost if miss is None else miss,
-            model.false_alarm_cost if false_alarm is None else false_alarm,
+            self._model.class_names,
+            self._model.positive if self.positive is None else self.positive,
+            self._model.miss_cost if self.miss_cost is None else self.miss_cost,
+            self._model.false_alarm_cost if self.false_alarm_cost is None else self.false_alarm_cost,
         )
-        self._scaling = model.scaling
-        self._log_prior = np.log(model.gaussians.prior)
-        self._labels = TrackLabels(model.class_names, self._log_prior, memory, hold_pings)
-        self._names: tuple[str, ...] = ()  # of the features that come
-        self._columns = np.zeros(0, np.int64)  # those that the model takes
+        self._labels = TrackLabels(
+            self._model.class_names,
+            self._log_prior,
+            self.memory,
+            self.hold_pings,
+            self.min_descriptions,
+            self.handover,
+        )
 
-    def step(self, features: Features, tracks: Tracks | None) -> Classes:
-        """The classes of one ping; raises InputError when the features are not those of the model."""
+    def _of(self, model: Model) -> Discriminants:
+        """The discriminants of a model; raises ValueError where a covariance is singular."""
+        raise NotImplementedError
+
+    def __call__(self, features: Features, tracks: Tracks | None = None) -> Classes:
+        """The labels of all tracks that have been described."""
         if features.names and features.names != self._names:
             self._meet(features.names)
         track_id, evidence = features.track_id[:0], np.zeros((0, len(self._model.classes)))
@@ -65,7 +94,7 @@ class GaussianLabels:
     def _meet(self, names: tuple[str, ...]) -> None:
         missing = missing_features(self._model.feature_names, names)
         if missing:
-            raise InputError(f"{self._path}: {missing}; train a model on these, or rewire the graph")
+            raise InputError(f"{self.model}: {missing}; train a model on these, or rewire the graph")
         self._names = names
         self._columns = np.array([names.index(name) for name in self._model.feature_names])
 

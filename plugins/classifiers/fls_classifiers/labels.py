@@ -51,23 +51,31 @@ class Costs:
 class TrackLabels:
     """Log evidence of each class for each track that has been described.
 
-    New evidence e joins the old E as e + memory E.
+    New evidence e joins the old E as e + memory E. With `handover` h, the chance that the track has gone over
+    to something else since, the old counts as the forward step of a hidden Markov model has it: P(class)
+    becomes (1 - h) P(class) + h prior.
     """
 
     classes: tuple[str, ...]
     log_prior: FloatArray  # (c,)
     memory: float
     hold_pings: int
+    min_descriptions: int = 1  # before a track has a label
+    handover: float = 0.0
     _firing: int = field(default=0, init=False, repr=False)
     _id: IntArray = field(default_factory=_none, init=False, repr=False)  # increasing
     _last: IntArray = field(default_factory=_none, init=False, repr=False)  # firing of the newest evidence
+    _count: IntArray = field(default_factory=_none, init=False, repr=False)  # descriptions so far
     _evidence: FloatArray = field(init=False, repr=False)  # (n, c)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.memory <= 1.0:
             raise ValueError(f"memory is {self.memory}; it lies between 0 and 1")
-        if self.hold_pings < 1:
-            raise ValueError(f"hold_pings is {self.hold_pings}; it must be at least 1")
+        if not 0.0 <= self.handover <= 1.0:
+            raise ValueError(f"handover is {self.handover}; it lies between 0 and 1")
+        for name in ("hold_pings", "min_descriptions"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be at least 1")
         self._evidence = np.zeros((0, len(self.classes)))
 
     def step(
@@ -86,11 +94,12 @@ class TrackLabels:
             self._keep(self._firing - self._last < self.hold_pings)
         else:
             self._keep(np.isin(self._id, tracks.id))
-        probability = posterior(self._evidence + self.log_prior)
+        told = self._count >= self.min_descriptions
+        probability = posterior(self._evidence[told] + self.log_prior)
         return Classes(
             features.seq,
             features.stamp_ns,
-            self._id.copy(),
+            self._id[told],
             self.classes,
             costs.label(probability),
             probability,
@@ -99,16 +108,27 @@ class TrackLabels:
     def _join(self, track_id: IntArray, evidence: FloatArray) -> None:
         track_id, first = np.unique(track_id, return_index=True)
         every = np.union1d(self._id, track_id)
-        last, total = np.zeros(every.size, np.int64), np.zeros((every.size, len(self.classes)))
+        last, count = np.zeros(every.size, np.int64), np.zeros(every.size, np.int64)
+        total = np.zeros((every.size, len(self.classes)))
         old, new = np.searchsorted(every, self._id), np.searchsorted(every, track_id)
-        last[old], total[old] = self._last, self._evidence
-        total[new] = evidence[first] + self.memory * total[new]
+        last[old], count[old], total[old] = self._last, self._count, self._evidence
+        total[new] = evidence[first] + self._recalled(total[new])
         last[new] = self._firing
-        self._id, self._last, self._evidence = every, last, total
+        count[new] += 1
+        self._id, self._last, self._count, self._evidence = every, last, count, total
+
+    def _recalled(self, evidence: FloatArray) -> FloatArray:
+        """What earlier evidence still says."""
+        kept = self.memory * evidence
+        if not self.handover:
+            return kept
+        prior = posterior(self.log_prior[None, :])
+        chance = (1.0 - self.handover) * posterior(kept + self.log_prior) + self.handover * prior
+        return np.asarray(np.log(chance / prior))
 
     def _keep(self, which: BoolArray) -> None:
         self._id, self._last = self._id[which], self._last[which]
-        self._evidence = self._evidence[which]
+        self._count, self._evidence = self._count[which], self._evidence[which]
 
     def snapshot(self) -> dict[str, Any]:
         """The evidence so far."""
@@ -116,6 +136,7 @@ class TrackLabels:
             "firing": self._firing,
             "id": self._id.copy(),
             "last": self._last.copy(),
+            "count": self._count.copy(),
             "evidence": self._evidence.copy(),
         }
 
@@ -123,4 +144,4 @@ class TrackLabels:
         """Go on from a snapshot."""
         self._firing = int(snapshot["firing"])
         self._id, self._last = np.array(snapshot["id"]), np.array(snapshot["last"])
-        self._evidence = np.array(snapshot["evidence"])
+        self._count, self._evidence = np.array(snapshot["count"]), np.array(snapshot["evidence"])

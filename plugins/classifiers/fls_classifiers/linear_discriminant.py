@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
-from fls_classifiers.gaussian import GaussianLabels
-from fls_flow import Classes, Features, InputError, Tracks, hookimpl
-from fls_flow.discriminants import linear
-from fls_flow.model_files import load
+from fls_classifiers.gaussian import GaussianClassifier
+from fls_flow import hookimpl
+from fls_flow.discriminants import Linear, linear
+from fls_flow.model_files import Model
 
 __all__ = ["LinearDiscriminant"]
 
 
 @dataclass
-class LinearDiscriminant:
+class LinearDiscriminant(GaussianClassifier):
     """A label for each track, by what a mistake would cost, and the posterior of each class.
 
     The classes are Gaussian with one covariance: g_i(x) = w_i' x + w_i0, and P(class i | x) is proportional
@@ -23,43 +21,19 @@ class LinearDiscriminant:
     classes: iff g, its discriminant less the other's, is at least the logarithm of that), else the most
     probable of the others. Source: Brinkmann 2010, 3.4.2, with the cost that its 5.2.4 asks for.
 
-    A track keeps its label in pings that do not describe it, and has no row before it was described once.
+    A track keeps its label in pings that do not describe it, and has no row before it was described
+    `min_descriptions` times.
     With `tracks` wired, labels end with their tracks; without, `hold_pings` pings after the last
     description. `memory` is the share of the earlier evidence (log likelihood) that joins the new one: 0
-    takes the newest description alone, 1 all as if they were independent. `positive`, `miss_cost` and
-    `false_alarm_cost` are the model's where None.
+    takes the newest description alone, 1 all as if they were independent. `handover` is the chance that a
+    track has gone over to something else since its last description: then no history outweighs what is
+    clearly seen now. `positive`, `miss_cost` and `false_alarm_cost` are the model's where None.
 
     Raises InputError for a file that holds no model, and at the first features that are not the model's.
     """
 
-    model: Path
-    positive: str | None = None
-    miss_cost: float | None = None  # of taking the positive class for another
-    false_alarm_cost: float | None = None  # of taking another for the positive class
-    memory: float = 0.0
-    hold_pings: int = 100
-    _labels: GaussianLabels = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        model = load(Path(self.model))
-        try:
-            discriminants = linear(model.gaussians, model.ridge)
-        except ValueError as error:
-            raise InputError(f"{self.model}: {error}") from error
-        costs = self.positive, self.miss_cost, self.false_alarm_cost
-        self._labels = GaussianLabels(self.model, model, discriminants, costs, self.memory, self.hold_pings)
-
-    def __call__(self, features: Features, tracks: Tracks | None = None) -> Classes:
-        """The labels of all tracks that have been described."""
-        return self._labels.step(features, tracks)
-
-    def snapshot(self) -> dict[str, Any]:
-        """What is known of the tracks."""
-        return self._labels.snapshot()
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go on from a snapshot."""
-        self._labels.restore(snapshot)
+    def _of(self, model: Model) -> Linear:
+        return linear(model.gaussians, model.ridge)
 
 
 @hookimpl

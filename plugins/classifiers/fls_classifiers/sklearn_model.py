@@ -41,6 +41,8 @@ class SklearnModel:
     false_alarm_cost: float = 1.0  # of taking another for the positive class
     memory: float = 0.0
     hold_pings: int = 100
+    min_descriptions: int = 1
+    handover: float = 0.0
     _estimator: Any = field(init=False, repr=False)
     _costs: Costs = field(init=False, repr=False)
     _labels: TrackLabels = field(init=False, repr=False)
@@ -52,7 +54,14 @@ class SklearnModel:
         classes = tuple(map(str, self._estimator.classes_))
         positive = classes[0] if self.positive is None else self.positive
         self._costs = Costs(classes, positive, self.miss_cost, self.false_alarm_cost)
-        self._labels = TrackLabels(classes, np.zeros(len(classes)), self.memory, self.hold_pings)
+        self._labels = TrackLabels(
+            classes,
+            np.zeros(len(classes)),
+            self.memory,
+            self.hold_pings,
+            self.min_descriptions,
+            self.handover,
+        )
 
     def __call__(self, features: Features, tracks: Tracks | None = None) -> Classes:
         """The labels of all tracks that have been described."""

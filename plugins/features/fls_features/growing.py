@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from fls_flow.kernels import compiled, frozen
 
-__all__ = ["Rule", "central", "grown", "seeds", "smoothed", "thresholds", "within"]
+__all__ = ["Rule", "central", "grown", "reach", "seeds", "smoothed", "thresholds", "within"]
 
 Rule = Literal["seed", "histogram", "percentile"]
 FloatArray = npt.NDArray[np.float64]
@@ -135,33 +135,54 @@ def thresholds(filtered: FloatArray, seed: IntArray, rule: Rule, level: float) -
     return np.asarray(low + part * (high - low))
 
 
-def grown(filtered: FloatArray, seed: IntArray, threshold: FloatArray) -> BoolArray:
-    """(n, rows, columns) the cells above the threshold that are 8-connected with the seed.
+def reach(gap_m: float, range_m: FloatArray, cell_m: float, beam_spacing_rad: float) -> FloatArray:
+    """(n, 2) how many rows and columns a gap spans in chips whose objects are at ranges (n,); 0: unknown."""
+    rows = gap_m / cell_m if cell_m > 0.0 else 0.0
+    across_m = range_m * beam_spacing_rad
+    with np.errstate(divide="ignore", invalid="ignore"):
+        columns = np.where(across_m > 0.0, gap_m / across_m, 0.0)
+    return np.stack([np.full(columns.shape, rows), columns], axis=1)
 
-    Empty where the seed itself is not above it.
+
+def grown(
+    filtered: FloatArray, seed: IntArray, threshold: FloatArray, reach: FloatArray | None = None
+) -> BoolArray:
+    """(n, rows, columns) the cells above the threshold that are connected with the seed.
+
+    Connected are the 8 neighbours of a cell, and with `reach` (n, 2) those in an ellipse of so many rows and
+    columns about it. Empty where the seed itself is not above the threshold.
     """
     mask = np.zeros(filtered.shape, bool)
-    _flood(frozen(filtered), frozen(seed), frozen(threshold), mask)
+    spans = np.ones((filtered.shape[0], 2)) if reach is None else np.ascontiguousarray(reach, float)
+    _flood(frozen(filtered), frozen(seed), frozen(threshold), frozen(spans), mask)
     return mask
 
 
 @compiled
-def _flood(filtered: FloatArray, seed: IntArray, threshold: FloatArray, mask: BoolArray) -> None:
+def _flood(
+    filtered: FloatArray, seed: IntArray, threshold: FloatArray, reach: FloatArray, mask: BoolArray
+) -> None:
     n, rows, columns = filtered.shape
     stack = np.empty(rows * columns, np.int64)
     for k in range(n):
         i, j = seed[k, 0], seed[k, 1]
         if not filtered[k, i, j] > threshold[k]:
             continue
+        high, wide = max(reach[k, 0], 1.0), max(reach[k, 1], 1.0)
+        up, aside = int(min(high, rows)), int(min(wide, columns))
         mask[k, i, j] = True
         stack[0] = i * columns + j
         depth = 1
         while depth > 0:
             depth -= 1
             i, j = stack[depth] // columns, stack[depth] % columns
-            for a in range(max(i - 1, 0), min(i + 2, rows)):
-                for b in range(max(j - 1, 0), min(j + 2, columns)):
-                    if not mask[k, a, b] and filtered[k, a, b] > threshold[k]:
+            for a in range(max(i - up, 0), min(i + up + 1, rows)):
+                u = (a - i) / high
+                for b in range(max(j - aside, 0), min(j + aside + 1, columns)):
+                    if mask[k, a, b] or not filtered[k, a, b] > threshold[k]:
+                        continue
+                    v = (b - j) / wide
+                    if u * u + v * v <= 1.0 or (abs(a - i) <= 1 and abs(b - j) <= 1):
                         mask[k, a, b] = True
                         stack[depth] = a * columns + b
                         depth += 1

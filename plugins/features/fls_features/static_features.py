@@ -1,4 +1,4 @@
-"""Describe the object in each chip by ten numbers."""
+"""Describe the object in each chip by ten numbers, and by its speed."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
+import numpy.typing as npt
 
 from fls_features.chip_messages import Chips, Regions
 from fls_features.shape import Shape, in_cells, in_metres, names_of
-from fls_flow import Features, hookimpl
+from fls_flow import Features, Tracks, hookimpl
 
-__all__ = ["StaticFeatures"]
+__all__ = ["SPEED", "StaticFeatures"]
+
+SPEED = "speed_mps"
 
 
 @dataclass
@@ -20,11 +23,13 @@ class StaticFeatures:
 
     One row per region that was kept. `shape: cells` measures as the source does: the farther an object, the
     wider the beams and the smaller its numbers. `shape: metres` measures what the cells cover, in names of
-    its own, so that range changes only what it does to the image.
+    its own, so that range changes only what it does to the image. With `tracks` wired an eleventh feature is
+    `speed_mps`, that of the track's state: over ground in NED tracks, else relative to the sonar.
 
-    Raises ValueError when chips and regions are not of the same tracks.
+    Raises ValueError when chips and regions are not of the same tracks, or a chip's track is not among
+    `tracks`.
 
-    Source: Brinkmann 2010, 3.3.2.1.
+    Source: Brinkmann 2010, 3.3.2.1; the speed is ours.
     """
 
     shape: Shape = "cells"
@@ -33,7 +38,7 @@ class StaticFeatures:
         if self.shape not in get_args(Shape):
             raise ValueError(f"shape is '{self.shape}'; it is one of {', '.join(get_args(Shape))}")
 
-    def __call__(self, chips: Chips, regions: Regions) -> Features:
+    def __call__(self, chips: Chips, regions: Regions, tracks: Tracks | None = None) -> Features:
         """The features of one ping's objects; names are there even when rows are not."""
         names = names_of(self.shape)
         if not np.array_equal(chips.track_id, regions.track_id):
@@ -41,18 +46,32 @@ class StaticFeatures:
                 f"regions are of tracks {regions.track_id.tolist()}, chips of {chips.track_id.tolist()}; "
                 "wire both from the same chips"
             )
-        if not len(chips):
-            return Features(chips.seq, chips.stamp_ns, names=names, values=np.zeros((0, len(names))))
+        kept = regions.kept
+        track_id, values = chips.track_id[kept], np.zeros((0, len(names)))
+        if len(chips):
+            values = self._measured(chips, regions)
+        if tracks is not None:
+            names, values = (*names, SPEED), np.column_stack([values, _speed_mps(tracks, track_id)])
+        known = np.isfinite(values).all(axis=1)
+        return Features(chips.seq, chips.stamp_ns, track_id[known], names, values[known])
+
+    def _measured(self, chips: Chips, regions: Regions) -> npt.NDArray[np.float64]:
+        """(n, 10) features of the regions that were kept."""
         kept = regions.kept
         mask, amplitude = regions.mask[kept], chips.amplitude[kept]
         if self.shape == "cells":
-            values = in_cells(mask, amplitude)
-        else:
-            tables = chips.range_m[kept], chips.bearing_rad[kept]
-            values = in_metres(mask, amplitude, *tables, chips.cell_m, chips.beam_spacing_rad)
-        known = np.isfinite(values).all(axis=1)
-        track_id = regions.track_id[kept][known]
-        return Features(chips.seq, chips.stamp_ns, track_id, names, values[known])
+            return in_cells(mask, amplitude)
+        tables = chips.range_m[kept], chips.bearing_rad[kept]
+        return in_metres(mask, amplitude, *tables, chips.cell_m, chips.beam_spacing_rad)
+
+
+def _speed_mps(tracks: Tracks, track_id: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    absent = np.setdiff1d(track_id, tracks.id)
+    if absent.size:
+        raise ValueError(f"chips are of tracks {absent.tolist()}, which are not there; wire these tracks")
+    order = np.argsort(tracks.id, kind="stable")
+    at = order[np.searchsorted(tracks.id, track_id, sorter=order)]
+    return np.asarray(np.hypot(tracks.state[at, 2], tracks.state[at, 3]))
 
 
 @hookimpl
