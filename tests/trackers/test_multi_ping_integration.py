@@ -12,15 +12,20 @@ import pytest
 from fls_flow import NavState, Ping, Tracks, TrackStatus
 from fls_flow.geometry import to_polar, wrap
 from fls_flow.testing import check_node
-from fls_trackers.multi_ping_integration import MultiPingIntegration
-from fls_trackers.tbd_ratio import NO_PLANE, candidates, power_correlation, ratio_map, ratio_table
-from fls_trackers.tbd_scouts import COLUMNS, SCORE, Grid, Motion, best_of_cells, born, followed, predicted
+from fls_trackers.multi_ping_integration import CAUTION, MultiPingIntegration
+from fls_trackers.tbd_bank import LEAD, Bank, Rules
+from fls_trackers.tbd_births import LAGS, Past, Peaks, born, fresh_scouts
+from fls_trackers.tbd_grid import Grid, Motion
+from fls_trackers.tbd_ratio import NO_PLANE, candidates, encoded, power_correlation, ratio_map, ratio_table
+from fls_trackers.tbd_scouts import COLUMNS, SCORE, best_of_cells, followed, predicted
+from fls_trackers.tbd_tables import excess_table
 from fls_trackers.tbd_tracks import cartesian, first_bearings, likeliest_bearing, spread_bearings
 
 FloatArray = npt.NDArray[np.float64]
 HYDROPHONES = np.array([[-0.385, 0.0], [0.0, 0.395], [0.405, 0.0], [0.0, -0.405]])
 C, LOW_HZ, BAND_HZ, NEAR_M, FAR_M = 1520.0, 31e3, 10e3, 60.0, 90.0
 STILL = Motion(1.0, 2.0, 0.01, 0.5, 0.0, 0.0, 0.0)
+NOW = STILL._replace(dt_s=0.0)
 GRID = Grid(
     NEAR_M,
     0.038,
@@ -108,7 +113,7 @@ def test_ratios_have_a_mean_of_one_in_clutter_and_less_where_bounded(snr: float)
 
 def test_ratios_of_clutter_with_an_estimated_level_do_not_exceed_one_on_average():
     # Half a bin of the table lets ratios be a little small; too many would make false tracks.
-    ratios = ratio_map(clutter(1), None, NO_PLANE, 0.0, 2, 32, ratio_table(2.0, 64.0, 7.0))
+    ratios = ratio_map(clutter(1), None, NO_PLANE, NO_PLANE, 2, 32, ratio_table(2.0, 64.0, 7.0))
     assert 0.9 < ratios.ratio.mean(dtype=float) < 1.01
     assert ratios.power.mean(dtype=float) == pytest.approx(64.0 / 63.0, abs=0.01)
     assert np.log(ratios.ratio).mean(dtype=float) < -0.3
@@ -116,7 +121,7 @@ def test_ratios_of_clutter_with_an_estimated_level_do_not_exceed_one_on_average(
 
 def test_power_is_over_the_mean_of_the_neighbours_in_the_same_beam():
     amplitude = clutter(2, (80, 5))
-    power = ratio_map(amplitude, None, NO_PLANE, 0.0, 2, 10, ratio_table(2.0, 20.0, 7.0)).power
+    power = ratio_map(amplitude, None, NO_PLANE, NO_PLANE, 2, 10, ratio_table(2.0, 20.0, 7.0)).power
     for r, b in ((0, 0), (40, 3), (79, 4), (5, 2)):
         rows = [i for i in range(80) if 2 < abs(i - r) <= 12]
         assert power[r, b] == pytest.approx(amplitude[r, b] ** 2 / np.mean(amplitude[rows, b] ** 2), rel=1e-5)
@@ -125,7 +130,7 @@ def test_power_is_over_the_mean_of_the_neighbours_in_the_same_beam():
 def test_what_is_not_known_says_nothing():
     amplitude, valid = clutter(3, (200, 20)), np.ones((200, 20), bool)
     amplitude[50, 3], valid[:, 7] = np.nan, False
-    ratios = ratio_map(amplitude, valid, NO_PLANE, 0.0, 2, 32, ratio_table(2.0, 64.0, 7.0))
+    ratios = ratio_map(amplitude, valid, NO_PLANE, NO_PLANE, 2, 32, ratio_table(2.0, 64.0, 7.0))
     assert ratios.ratio[50, 3] == 1.0
     assert (ratios.ratio[:, 7] == 1.0).all()
     assert np.isfinite(ratios.ratio).all()
@@ -135,8 +140,8 @@ def test_what_is_not_known_says_nothing():
 def test_integers_give_what_their_floats_give(dtype: type):
     amplitude = np.round(clutter(4, (300, 20)) * 10.0).astype(dtype)
     table = ratio_table(2.0, 64.0, 7.0)
-    one = ratio_map(amplitude, None, NO_PLANE, 0.0, 2, 32, table)
-    other = ratio_map(amplitude.astype(np.float32), None, NO_PLANE, 0.0, 2, 32, table)
+    one = ratio_map(amplitude, None, NO_PLANE, NO_PLANE, 2, 32, table)
+    other = ratio_map(amplitude.astype(np.float32), None, NO_PLANE, NO_PLANE, 2, 32, table)
     assert np.array_equal(one.ratio, other.ratio)
 
 
@@ -148,13 +153,50 @@ def test_the_correlation_of_clutter_is_measured_and_made_up_for(rho: float):
     new = rho * old + math.sqrt(1.0 - rho**2) * (
         rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
     ) / math.sqrt(2.0)
-    before = ratio_map(np.abs(old).astype(np.float32), None, NO_PLANE, 0.0, 2, 32, table)
-    plain = ratio_map(np.abs(new).astype(np.float32), None, NO_PLANE, 0.0, 2, 32, table)
+    before = ratio_map(np.abs(old).astype(np.float32), None, NO_PLANE, NO_PLANE, 2, 32, table)
+    plain = ratio_map(np.abs(new).astype(np.float32), None, NO_PLANE, NO_PLANE, 2, 32, table)
     assert power_correlation(plain.power, before.power) == pytest.approx(rho**2, abs=0.03)
-    allowed = ratio_map(np.abs(new).astype(np.float32), None, before.power, rho**2, 2, 32, table)
-    assert (before.ratio * allowed.ratio).mean(dtype=float) < 1.02  # two pings of one place: no evidence
+    if rho > 0.0:
+        expected = excess_table(table, 2.0, 64.0, CAUTION * rho**2)
+        allowed = ratio_map(np.abs(new).astype(np.float32), None, before.power, expected, 2, 32, table)
+        assert 0.9 < allowed.ratio.mean(dtype=float) < 1.02
+        assert (before.ratio * allowed.ratio).mean(dtype=float) < 1.02  # two pings of one place: no evidence
+        assert np.log(allowed.ratio).mean(dtype=float) < np.log(plain.ratio).mean(dtype=float)
     if rho > 0.6:
         assert (before.ratio * plain.ratio).mean(dtype=float) > 1.3  # what it would be without
+
+
+@pytest.mark.parametrize("snr", [1.0, 2.0, 30.0])
+def test_codes_keep_ratios_to_a_part_of_them(snr: float):
+    table = ratio_table(snr, 64.0, 7.0)
+    code, decoded = encoded(table)
+    steps = np.log(decoded[1:].astype(float) / decoded[:-1])
+    assert np.ptp(steps) < 1e-5
+    assert np.abs(np.log(decoded[code] / table)).max() < 0.51 * steps.mean()
+    assert (decoded == 1.0).sum() == 1
+
+
+def test_what_a_power_is_worth_after_another_is_what_monte_carlo_says():
+    rng, snr, rho2 = np.random.default_rng(15), 2.0, 0.5
+    table = ratio_table(snr, 1e9, 7.0)
+    expected = excess_table(table, snr, 1e9, rho2)
+
+    def gaussian(n: int) -> npt.NDArray[np.complex128]:
+        return (rng.standard_normal(n) + 1j * rng.standard_normal(n)) / math.sqrt(2.0)
+
+    n = 400_000
+    phase = np.exp(2j * np.pi * rng.random(n))
+    steady = rng.random(n) < 0.7
+    echo = math.sqrt(snr) * np.where(steady, phase, gaussian(n))
+    for old in (0.0, 0.5, 2.0, 5.0):
+        clutter = math.sqrt(rho2 * old) + math.sqrt(1.0 - rho2) * gaussian(n)
+        bins = np.arange(0.25, 12.0, 1.0)
+        without = np.histogram(np.abs(clutter) ** 2, bins)[0]
+        with_it = np.histogram(np.abs(clutter + echo) ** 2, bins)[0]
+        for i in np.flatnonzero((without > 2000) & (with_it > 2000)):
+            cells = slice(int(8 * bins[i]), int(8 * bins[i + 1]) + 1)
+            ratios = table[(32.0 * expected[round(8 * old), cells]).astype(int)]
+            assert ratios.min() * 0.9 < with_it[i] / without[i] < ratios.max() * 1.1
 
 
 def test_candidates_are_local_maxima_in_order():
@@ -196,27 +238,152 @@ def test_own_motion_moves_what_stands_still():
     assert moved[0, 5] == pytest.approx(float(b) - 0.1)
 
 
-def test_a_scout_is_scored_by_bayes_rule():
+@pytest.mark.parametrize(("closed", "sign"), [(True, 1.0), (False, 1.0), (True, -1.0)])
+def test_a_scout_is_scored_by_bayes_rule(closed: bool, sign: float):
+    # The same sum over half cells and half beams, interpolated all over the plane.
     rng = np.random.default_rng(6)
-    ratio = rng.exponential(size=(700, 360)).astype(np.float32)
+    grid = GRID._replace(closed=closed, first_rad=sign * GRID.first_rad, beam_rad=sign * GRID.beam_rad)
+    code = rng.integers(60, 200, (700, 360)).astype(np.uint8)
+    decoded = encoded(ratio_table(2.0, 64.0, 7.0))[1]
     one = scout()
-    got = followed(one, ratio, GRID)[0]
-    r, b = GRID.first_m + GRID.cell_m * np.arange(700), GRID.first_rad + GRID.beam_rad * np.arange(360)
-    sd_r, sd_b = math.hypot(0.02, 0.3 * 0.076), 0.01
-    w = np.where(np.abs(r - 70.0) <= 2.5 * sd_r, np.exp(-0.5 * ((r - 70.0) / sd_r) ** 2), 0.0)
-    v = np.where(
-        np.abs(b - 0.5) <= max(2.0 * sd_b, 1.5 * GRID.beam_rad), np.exp(-0.5 * ((b - 0.5) / sd_b) ** 2), 0.0
+    got = followed(one, code, decoded, grid, NOW)[0]
+    cubic = np.array([-1.0, 9.0, 9.0, -1.0]) / 16.0
+    fine = np.zeros((1399, 719))
+    fine[::2, ::2] = code
+    fine[3:-3:2] = sum(c * fine[2 * i : 2 * i + 1393 : 2] for i, c in enumerate(cubic))
+    fine[:, 3:-3:2] = sum(c * fine[:, 2 * i : 2 * i + 713 : 2] for i, c in enumerate(cubic))
+    ratio = decoded[np.floor(fine + 0.5).astype(int).clip(0, 255)].astype(float)
+    r, b = (
+        grid.first_m + grid.cell_m / 2.0 * np.arange(1399),
+        grid.first_rad + grid.beam_rad / 2.0 * np.arange(719),
     )
+    sd_r, sd_b = 0.02, 0.01
+    w = np.where(np.abs(r - 70.0) <= 2.0 * sd_r, np.exp(-0.5 * ((r - 70.0) / sd_r) ** 2), 0.0)
+    v = np.where(np.abs(b - 0.5) <= 2.0 * sd_b, np.exp(-0.5 * ((b - 0.5) / sd_b) ** 2), 0.0)
     joint = w[:, None] * v * ratio
-    assert got[SCORE] == pytest.approx(math.log(joint.sum() / (w.sum() * v.sum())), rel=1e-6)
-    assert got[0] == pytest.approx((joint.sum(axis=1) @ r) / joint.sum())
-    assert got[5] == pytest.approx((joint.sum(axis=0) @ b) / joint.sum())
+    assert got[SCORE] == pytest.approx(math.log(joint.sum() / (w.sum() * v.sum())), rel=1e-4)
+
+
+@pytest.mark.parametrize("sd_r", [0.002, 0.01, 0.03, 0.08])
+@pytest.mark.parametrize("sd_b", [0.001, 0.01, 0.03])
+def test_what_a_ping_says_is_a_kalman_update_whatever_the_prior(sd_r: float, sd_b: float):
+    # Ratios that are Gaussian about a place: a prior far narrower than a cell must not be believed more.
+    step, place, sd = 0.03, (70.02, 0.507), (0.04, 0.025)
+    decoded = np.exp((np.arange(256) - 255.0) * step).astype(np.float32)
+    r = NEAR_M + 0.038 * np.arange(700) - place[0]
+    b = GRID.first_rad + GRID.beam_rad * np.arange(360) - place[1]
+    log_ratio = -0.5 * ((r / sd[0]) ** 2)[:, None] - 0.5 * (b / sd[1]) ** 2
+    code = np.rint(255.0 + log_ratio / step).clip(0, 255).astype(np.uint8)
+    one = scout()
+    one[0, 2:5] = sd_r**2, 0.0, 1e-4
+    one[0, 7:10] = sd_b**2, 0.0, 1e-6
+    got = followed(one, code, decoded, GRID, NOW)[0]
+    for mean, variance, prior, p, measured, noise in (
+        (got[0], got[2], 70.0, sd_r**2, place[0], sd[0] ** 2),
+        (got[5], got[7], 0.5, sd_b**2, place[1], sd[1] ** 2),
+    ):
+        assert mean - prior == pytest.approx(p / (p + noise) * (measured - prior), rel=0.15)
+        assert variance == pytest.approx(p * noise / (p + noise), rel=0.15)
+
+
+def test_a_past_ping_says_where_the_scout_is_now():
+    # A Kalman update with H = [1, -dt], of what a single bright cell says.
+    code, decoded = np.zeros((700, 360), np.uint8), np.array([1e-6, *np.ones(254), 900.0], np.float32)
+    since = STILL._replace(dt_s=3.0, sigma_v_mps2=0.0, own_x_m=2.0, own_y_m=-1.0, own_turn_rad=0.2)
+    one = scout()
+    one[0, 3] = 0.0005
+    place = 70.0 * np.array([np.cos(0.5), np.sin(0.5)])
+    along, across = np.array([np.cos(0.5), np.sin(0.5)]), np.array([-np.sin(0.5), np.cos(0.5)])
+    then = place - 3.0 * (0.3 * along + 70.0 * 0.002 * across)
+    c, n = np.cos(0.2), np.sin(0.2)
+    r, b = to_polar(np.array([[c, -n], [n, c]]) @ then + [2.0, -1.0])
+    row, beam = round((r - NEAR_M) / 0.038), round((b - GRID.first_rad) / GRID.beam_rad)
+    code[row, beam] = 255
+    got = followed(one, code, decoded, GRID, since)[0]
+    off = NEAR_M + 0.038 * row - r
+    H, P = np.array([1.0, -3.0]), np.array([[0.02**2, 0.0005], [0.0005, 0.05**2]])
+    gain = P @ H / (H @ P @ H)
+    moved = got[[0, 1]] - [70.0, 0.3]
+    assert moved == pytest.approx(gain * off, rel=0.3)
+    assert moved[1] / moved[0] == pytest.approx(gain[1] / gain[0], rel=1e-6)
+    gone = P - np.array([[got[2], got[3]], [got[3], got[4]]])
+    assert gone == pytest.approx(np.outer(gain, gain) * gone[0, 0] / gain[0] ** 2, rel=1e-6)
+    assert H @ gone @ H > 0.9 * (H @ P @ H)
+    assert got[SCORE] > 2.0
+    elsewhere = np.roll(code, 40, axis=0)
+    assert followed(one, elsewhere, decoded, GRID, since)[0, SCORE] < -10.0
+
+
+def test_a_path_is_found_from_any_pair_of_its_peaks_with_all_that_came_before():
+    decoded = np.exp(np.linspace(-1.0, 3.0, 256)).astype(np.float32)
+    places = [(300 - 8 * lag, 90 + lag // 3) for lag in range(6)]  # rows and beams, the newest first
+    peaks = [Peaks(np.array([r]), np.array([b]), np.array([4.0])) for r, b in places]
+    nothing = Peaks(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+    past, since = [], []
+    for lag, (r, b) in enumerate(places[1:], 1):
+        code = np.zeros((700, 360), np.uint8)
+        code[r - 1 : r + 2, b - 2 : b + 3] = 255
+        past.append(Past(0, (0.0, 0.0, 0.0), code, peaks[lag] if lag == 2 else nothing))
+        since.append(STILL._replace(dt_s=float(lag)))
+    found = fresh_scouts(peaks[0], past, since, decoded, GRID, 1000)
+    assert len(found) == 1
+    assert found[0, :2] == pytest.approx([NEAR_M + 300 * 0.038, 8 * 0.038], abs=0.01)
+    assert -GRID.beam_rad / 3.0 < found[0, 6] < 0.0
+    window = math.log(LAGS * (8.0 / 0.076 + 1.0) * (5.0 / 71.4 / GRID.beamwidth_rad + 1.0))
+    assert 8.0 + 4 * 2.0 < found[0, SCORE] + window < 8.0 + 4 * 3.0
+    assert len(fresh_scouts(peaks[0], past[:1], since[:1], decoded, GRID, 1000)) == 0
+
+
+def test_of_too_many_pairs_the_better_are_left():
+    rng = np.random.default_rng(14)
+    row = np.sort(rng.choice(700, 200, replace=False))
+    beam, gain = np.full(200, 7), rng.uniform(3.0, 9.0, 200)
+    everything = born(row, beam, gain, row, beam, gain, GRID, STILL, 0.0, 10**6)
+    some = born(row, beam, gain, row, beam, gain, GRID, STILL, 0.0, len(everything) // 2)
+    assert len(some) <= len(everything) // 2
+    assert some[:, SCORE].max() == everything[:, SCORE].max()
+    assert np.median(some[:, SCORE]) > np.median(everything[:, SCORE]) + 0.5
+
+
+def test_a_scout_takes_the_place_of_a_much_worse_tentative_track_only():
+    rules = Rules(10.0, 17.0, 15.0, 1.5, 10, 2.0)
+
+    def begun(*scores: float) -> Bank:
+        bank = Bank()
+        for offset, score in enumerate(scores):
+            one = scout(70.0 + offset)
+            one[0, SCORE] = score
+            bank.begin(one, GRID, rules)
+        return bank
+
+    assert begun(9.0).row["id"].tolist() == []
+    assert begun(11.0, 11.0 + 0.9 * LEAD).row["id"].tolist() == [1]
+    assert begun(11.0, 11.0 + 1.1 * LEAD).row["id"].tolist() == [2]
+    assert begun(18.0, 30.0).row["status"].tolist() == [TrackStatus.CONFIRMED]
+    assert begun(18.0, 30.0, 30.0).row["id"].tolist() == [1, 2]
+
+
+def test_a_track_that_goes_astray_is_brought_back_under_its_name():
+    rules, bank = Rules(10.0, 17.0, 15.0, 1.5, 10, 2.0), Bank()
+    start, near, far = scout(70.0), scout(70.5), scout(70.5, bearing=0.8)
+    start[0, SCORE], near[0, SCORE], far[0, SCORE] = 20.0, 9.0, 14.0
+    bank.begin(start, GRID, rules)
+    bank.recall(np.concatenate([near, far]), GRID, rules)
+    assert bank.path[0, 0] == 70.0  # it does well
+    bank.path = bank.path.copy()
+    bank.path[0, SCORE] = 12.0
+    bank.recall(far, GRID, rules)
+    assert bank.path[0, 0] == 70.0  # at another bearing
+    bank.recall(np.concatenate([far, near]), GRID, rules)
+    assert bank.path[0, [0, SCORE]].tolist() == [70.5, 12.0]
+    assert bank.row[["id", "status"]].tolist() == [(1, TrackStatus.CONFIRMED)]
+    assert not bank.astray.any()
 
 
 def test_a_scout_that_leaves_the_ping_is_out():
-    ratio = np.ones((700, 360), np.float32)
+    code, decoded = np.zeros((700, 360), np.uint8), np.ones(256, np.float32)
     for place in (NEAR_M - 1.0, NEAR_M + 700 * 0.038 + 1.0):
-        assert np.isneginf(followed(scout(place), ratio, GRID)[0, SCORE])
+        assert np.isneginf(followed(scout(place), code, decoded, GRID, NOW)[0, SCORE])
 
 
 def test_pairs_are_those_that_one_target_may_have_made():
@@ -226,10 +393,11 @@ def test_pairs_are_those_that_one_target_may_have_made():
         for _ in range(2)
     ]
     (b, r), (old_b, old_r) = (one.T.copy() for one in peaks)
-    found = born(r, b, old_r, old_b, np.full(r.size, 9.0), np.full(old_r.size, 9.0), GRID, STILL, 0.0)
+    gain = np.full(300, 9.0)
+    found = born(r, b, gain[: r.size], old_r, old_b, gain[: old_r.size], GRID, STILL, 0.0, 10**6)
     expected = 0
     for row, beam in zip(r, b, strict=True):
-        side = int((2.0 / (NEAR_M + row * 0.038) + 0.5 * GRID.beamwidth_rad) / GRID.beam_rad)
+        side = int((1.25 / (NEAR_M + row * 0.038) + 0.5 * GRID.beamwidth_rad) / GRID.beam_rad)
         near = np.abs((old_b - beam + 180) % 360 - 180) <= side
         expected += int(np.count_nonzero(near & (np.abs(old_r - row) * 0.038 <= 2.0)))
     assert len(found) == expected > 10
@@ -260,9 +428,10 @@ def test_a_track_goes_over_to_a_lobe_that_is_far_more_probable():
     one = scout(bearing=0.0)
     belief = 0.99 * first_bearings(np.radians([6.0]), np.zeros(1), GRID) + 0.01 / 360.0
     belief[np.abs(np.degrees(GRID.first_rad + GRID.beam_rad * np.arange(360))) < 4.0] = 1e-9
-    moved = likeliest_bearing(one, belief[None], GRID)
+    moved = likeliest_bearing(one, belief[None], np.full(1, 100.0), GRID)
     assert np.degrees(moved[0, 5]) == pytest.approx(6.0, abs=0.3)
-    assert likeliest_bearing(one, first_bearings(np.zeros(1), np.zeros(1), GRID)[None], GRID)[0, 5] == 0.0
+    unsure = 0.5 * (belief + first_bearings(np.zeros(1), np.zeros(1), GRID))
+    assert likeliest_bearing(one, unsure[None], np.full(1, 100.0), GRID)[0, 5] == 0.0
 
 
 def test_clutter_alone_gives_no_tracks():
@@ -307,6 +476,24 @@ def test_a_track_ends_when_its_target_does():
     assert TrackStatus.CONFIRMED in statuses[14]
     assert sum(TrackStatus.LOST in one for one in statuses) == 1
     assert TrackStatus.CONFIRMED not in statuses[-1]
+
+
+def test_a_track_waits_for_a_target_that_leaves_the_window():
+    def cut(ping: Ping, far_m: float) -> Ping:
+        keep = ping.range_m < far_m
+        return Ping(ping.seq, ping.stamp_ns, ping.amplitude[keep], ping.range_m[keep], ping.bearing_rad)
+
+    path, node = moving((70.0, 10.0), (0.2, -0.2)), MultiPingIntegration()
+    windows = [90.0] * 14 + [68.0] * 6 + [90.0] * 6
+    for window, ping in zip(windows, Scene(16, 13.0, pings=26)(path), strict=True):
+        tracks = confirmed(node(cut(ping, window)))
+        assert window == 90.0 or tracks.id.tolist() == [1]
+    assert tracks.id.tolist() == [1]
+    assert tracks.hits[0] >= 18
+    assert tracks.state[0, :2] == pytest.approx(path(25), abs=2.0)
+    for k in range(26, 400, 4):  # but not for ever
+        tracks = node(cut(Ping(k, k * 10**9, ping.amplitude, ping.range_m, ping.bearing_rad), 68.0))
+    assert len(confirmed(tracks)) == 0
 
 
 def test_the_world_frame_takes_a_turning_drifting_sonar():

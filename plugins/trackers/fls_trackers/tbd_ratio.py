@@ -12,8 +12,10 @@ from fls_flow.kernels import compiled, frozen
 
 __all__ = [
     "STEPS",
+    "Codes",
     "RatioMap",
     "candidates",
+    "encoded",
     "power_correlation",
     "ratio_map",
     "ratio_table",
@@ -23,10 +25,16 @@ FloatArray = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+Codes = npt.NDArray[np.uint8]
 
 STEPS = 32  # entries of the table per unit of normalised power
 LARGEST = 64  # normalised power beyond which the table is flat
 STEADY = 0.7  # weight of a steady echo; the rest is that of a fluctuating one
+OLD_STEPS, NEW_STEPS = (
+    8,
+    8,
+)  # entries of what is expected, per unit of the last ping's power and of this one's
+ENOUGH = 200_000  # cells for a correlation
 ALL_VALID: BoolArray = np.zeros((0, 0), bool)
 NO_PLANE: Plane = np.zeros((0, 0), np.float32)
 
@@ -36,7 +44,13 @@ class RatioMap(NamedTuple):
 
     power: Plane  # (n_ranges, n_beams) z, over the mean of the clutter around; 1 where nothing is known
     excess: Plane  # (n_ranges, n_beams) u, over what the last ping lets expect; 1 where nothing is known
-    ratio: Plane  # (n_ranges, n_beams) of target plus clutter against clutter
+    code: Codes  # (n_ranges, n_beams) rows of `decoded`, so that many pings can be remembered
+    decoded: Plane  # (256,) ratios of target plus clutter against clutter, even in their logarithms
+
+    @property
+    def ratio(self) -> Plane:
+        """The ratios (n_ranges, n_beams), 1 where nothing is known."""
+        return self.decoded[self.code]
 
 
 def ratio_table(snr: float, references: float, max_gain: float) -> Plane:
@@ -56,31 +70,43 @@ def ratio_table(snr: float, references: float, max_gain: float) -> Plane:
     return bounded
 
 
+def encoded(table: Plane) -> tuple[Codes, Plane]:
+    """The codes of a table's ratios, and the ratio of each code (256,); one of them is exactly 1."""
+    low, high = min(math.log(float(table.min())), 0.0), max(math.log(float(table.max())), 0.0)
+    step = max(high - low, 1e-6) / 254.0
+    one = math.ceil(-low / step)
+    code = np.clip(np.rint(np.log(table) / step) + one, 0, 255).astype(np.uint8)
+    decoded: Plane = np.exp((np.arange(256) - one) * step).astype(np.float32)
+    return code, decoded
+
+
 def ratio_map(
     amplitude: npt.NDArray[Any],
     valid: BoolArray | None,
     previous: Plane,
-    correlation: float,
+    expected: Plane,
     guard: int,
     reach: int,
     table: Plane,
 ) -> RatioMap:
     """The likelihood ratios of a ping (n_ranges, n_beams) whose clutter may persist from ping to ping.
 
-    u = z / (1 - rho^2 + rho^2 z'), with z the power over the mean of `reach` cells before and behind a guard
-    in the same beam, z' the `previous` ping's z in the cell (empty: not known) and rho^2 the `correlation` of
-    the clutter's powers: given z', clutter has that mean and a lighter tail. Cells without data have ratio 1.
+    z is the power over the mean of `reach` cells before and behind a guard in the same beam, and u = z, or
+    what the table `expected` makes of z and of the `previous` ping's z in the cell (empty: not known). Cells
+    without data have ratio 1.
     """
-    power, excess, ratio = _ratio_map(
+    coded, decoded = encoded(table)
+    power, excess, code = _ratio_map(
         frozen(amplitude),
         frozen(ALL_VALID if valid is None else valid),
-        frozen(previous),
-        correlation,
+        frozen(previous if expected.size else NO_PLANE),
+        frozen(expected),
         guard,
         reach,
-        frozen(table),
+        frozen(coded),
+        np.uint8(int(np.flatnonzero(decoded == 1.0)[0])),
     )
-    return RatioMap(power, excess, ratio)
+    return RatioMap(power, excess, code, decoded)
 
 
 def power_correlation(power: Plane, previous: Plane) -> float:
@@ -90,7 +116,8 @@ def power_correlation(power: Plane, previous: Plane) -> float:
     """
     if power.shape != previous.shape or power.size < 1000:
         return 0.0
-    one, other = np.minimum(power[::4], 8.0), np.minimum(previous[::4], 8.0)
+    step = max(power.size // ENOUGH, 1)
+    one, other = np.minimum(power[::step], 8.0), np.minimum(previous[::step], 8.0)
     spread = float(one.std(dtype=np.float64) * other.std(dtype=np.float64))
     if spread == 0.0:
         return 0.0
@@ -117,13 +144,14 @@ def _ratio_map(
     amplitude: npt.NDArray[Any],
     valid: BoolArray,
     previous: Plane,
-    correlation: float,
+    expected: Plane,
     guard: int,
     reach: int,
-    table: Plane,
-) -> tuple[Plane, Plane, Plane]:
+    table: Codes,
+    unknown: np.uint8,
+) -> tuple[Plane, Plane, Codes]:
     n_ranges, n_beams = amplitude.shape
-    power, ratio = np.empty((n_ranges, n_beams), np.float32), np.empty((n_ranges, n_beams), np.float32)
+    power, code = np.empty((n_ranges, n_beams), np.float32), np.empty((n_ranges, n_beams), np.uint8)
     excess = np.empty((n_ranges, n_beams), np.float32)
     total, count = np.zeros(n_beams), np.zeros(n_beams)
     squares = np.zeros((n_ranges, n_beams), np.float32)
@@ -135,6 +163,7 @@ def _ratio_map(
             known[r, b] = good
             squares[r, b] = x * x if good else np.float32(0.0)
     last = np.float32(table.size - 1)
+    last_old, last_new = np.float32(expected.shape[0] - 1), np.float32(expected.shape[1] - 1)
     for r in range(-reach - guard - 1, n_ranges):
         _move(total, count, squares, known, r + guard + reach, 1.0)
         _move(total, count, squares, known, r + guard, -1.0)
@@ -148,12 +177,14 @@ def _ratio_map(
                 z = squares[r, b] * np.float32(count[b] / total[b])
             power[r, b] = z
             u = z
-            if correlation > 0.0 and previous.size:
-                u = z / np.float32(1.0 - correlation + correlation * previous[r, b])
+            if previous.size and known[r, b]:
+                old = min(previous[r, b] * np.float32(OLD_STEPS), last_old)
+                new = min(z * np.float32(NEW_STEPS), last_new)
+                u = expected[int(old + np.float32(0.5)), int(new + np.float32(0.5))]
             excess[r, b] = u
             place = min(u * np.float32(STEPS), last)
-            ratio[r, b] = table[int(place)] if known[r, b] else np.float32(1.0)
-    return power, excess, ratio
+            code[r, b] = table[int(place)] if known[r, b] else unknown
+    return power, excess, code
 
 
 @compiled

@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from fls_flow.geometry import wrap
 from fls_flow.kernels import compiled
+from fls_trackers.tbd_grid import Grid
 from fls_trackers.tbd_ratio import STEPS
-from fls_trackers.tbd_scouts import BEARING, P_BB, P_BT, P_RR, P_RV, P_TT, P_VV, RANGE, RATE, TURN, Grid
+from fls_trackers.tbd_scouts import BEARING, P_BB, P_BT, P_RR, P_RV, P_TT, P_VV, RANGE, RATE, TURN
 
 __all__ = ["bearings_of", "cartesian", "first_bearings", "likeliest_bearing", "spread_bearings"]
 
@@ -26,7 +27,6 @@ IntArray = npt.NDArray[np.int64]
 FLOOR = 1e-2  # of the probability of all bearings together that is spread evenly: none is ever ruled out
 LEAST_STEP = 0.6  # beams: a narrower Gaussian, sampled, would not move as far as it should
 UNKNOWN = 0.2  # the same when a track begins: its scouts have not seen all lobes
-LOBE_ODDS = 100.0  # how much more probable another lobe must be
 
 
 def first_bearings(bearing_rad: FloatArray, score: FloatArray, grid: Grid) -> FloatArray:
@@ -72,24 +72,19 @@ def _floored(belief: FloatArray) -> FloatArray:
 
 def bearings_of(
     tracks: FloatArray, belief: FloatArray, level: FloatArray, excess: Plane, tables: Plane, grid: Grid
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The beliefs (n, n_beams) after a ping, and each track's log ratio and echo, (n,).
+) -> tuple[FloatArray, FloatArray]:
+    """The beliefs (n, n_beams) after a ping, and each track's echo, (n,).
 
     Row l of `tables` holds the ratios for targets of l + 1 dB; that of a track is its `level` (n,), learnt
     from earlier pings: a strong target tells its lobes apart sooner. For a track's rows i with weights w_i of
-    its Gaussian over range, L_j = sum_i w_i ratio_ij; the new belief is belief_j L_j over their sum, the log
-    ratio ln sum_j v_j L_j with the track's own Gaussian over bearing, and the echo the mean of the power
-    under the cells' probabilities after the ping, less the clutter.
+    its Gaussian over range, L_j = sum_i w_i ratio_ij; the new belief is belief_j L_j over their sum, and the
+    echo the mean of the power under the cells' probabilities after the ping, less the clutter.
     """
     row = np.clip(np.rint(10.0 * np.log10(np.maximum(level, 1.0))), 1, len(tables)).astype(np.int64) - 1
     likelihood, power = _bearing_likelihood(tracks, row, excess, tables, grid)
     mean = (belief * likelihood).sum(axis=1)
     echo = (belief * power).sum(axis=1) / mean - 1.0
-    table = grid.first_rad + grid.beam_rad * np.arange(grid.n_beams)
-    off = wrap(table[None, :] - tracks[:, BEARING, None])
-    sd = np.maximum(np.sqrt(tracks[:, P_BB]), LEAST_STEP * abs(grid.beam_rad))
-    own = (_kernel(off, sd) * likelihood).sum(axis=1)
-    return _floored(belief * likelihood / mean[:, None]), np.log(np.maximum(own, 1e-9)), echo
+    return _floored(belief * likelihood / mean[:, None]), echo
 
 
 @compiled
@@ -100,7 +95,7 @@ def _bearing_likelihood(
     found, power = np.ones((tracks.shape[0], excess.shape[1])), np.ones((tracks.shape[0], excess.shape[1]))
     last = np.float32(tables.shape[1] - 1)
     for t in range(tracks.shape[0]):
-        sd = math.sqrt(tracks[t, P_RR] + (0.3 * grid.resolution_m) ** 2)
+        sd = math.sqrt(tracks[t, P_RR] + grid.cell_m**2 / 12.0)
         middle = (tracks[t, RANGE] - grid.first_m) / grid.cell_m
         half = 2.5 * sd / grid.cell_m
         low, high = max(math.ceil(middle - half), 0), min(math.floor(middle + half), grid.n_ranges - 1)
@@ -121,8 +116,8 @@ def _bearing_likelihood(
     return found, power
 
 
-def likeliest_bearing(tracks: FloatArray, belief: FloatArray, grid: Grid) -> FloatArray:
-    """The tracks (n, COLUMNS), those on a lobe far less probable than another moved over to that one.
+def likeliest_bearing(tracks: FloatArray, belief: FloatArray, odds: FloatArray, grid: Grid) -> FloatArray:
+    """The tracks (n, COLUMNS), those on a lobe `odds` (n,) less probable than another moved over to that one.
 
     A lobe's probability is that of the beams within 1.5 beamwidths. The rate of bearing stays: lobes move
     along with the target.
@@ -137,7 +132,7 @@ def likeliest_bearing(tracks: FloatArray, belief: FloatArray, grid: Grid) -> Flo
     near = wrap(table[None, :] - tracks[:, BEARING, None])
     own = np.take_along_axis(mass, np.abs(near).argmin(axis=1)[:, None], axis=1)[:, 0]
     moved = tracks.copy()
-    for t in np.flatnonzero(mass[np.arange(len(tracks)), best] > LOBE_ODDS * own):
+    for t in np.flatnonzero(mass[np.arange(len(tracks)), best] > odds * own):
         beams = (best[t] + steps) % grid.n_beams
         weight = belief[t, beams] / belief[t, beams].sum()
         off = steps * grid.beam_rad
