@@ -140,6 +140,8 @@ def unit_of(feature: str) -> str:
         unit = "m^2"
     elif base.endswith("_m"):
         unit = "m"
+    elif base.endswith("_mps"):
+        unit = "m/s"
     elif base in ("mean", "variance"):
         unit = "amplitude" if base == "mean" else "amplitude^2"
     if not unit:

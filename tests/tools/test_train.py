@@ -319,6 +319,7 @@ def test_units_follow_from_names():
     assert unit_of("area") == "cells"
     assert unit_of("area_m2.rate_variance") == "(m^2)^2"
     assert unit_of("major_axis_m.mean_rate") == "m per ping"
+    assert unit_of("speed_mps.variance") == "(m/s)^2"
     assert unit_of("variance.mean") == "amplitude^2"
     assert unit_of("phi1.variance") == ""
     assert unit_of("my_feature") == ""
