@@ -181,6 +181,7 @@ def test_a_signal_keeps_what_is_done_and_leaves_no_process(toys, environment, nu
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a script's `&` ignores it
     )
     deadline = time.monotonic() + 60.0
     while not ((toys / "hanging").exists() and (toys / "s" / "cells.jsonl").read_text()):
