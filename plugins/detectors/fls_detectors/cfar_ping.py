@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,7 +23,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass
-class CfarNode:
+class CfarNode(ABC):
     """The parameters of all CFAR nodes, which `rayleigh-cfar` describes, and what they do alike with a ping.
 
     A kind adds its statistic: `_hits`, and `_ratio` for those who calibrate it. Both are given the reference
@@ -76,13 +77,13 @@ class CfarNode:
         options = self._options(ping, noisy, wakes, tracks)
         return self._ratio(ping.amplitude, _window_of(self, ping.cell_m), **options)
 
+    @abstractmethod
     def _hits(self, amplitude: npt.NDArray[Any], window: Window, **options: Any) -> BoolArray:
         """Which cells (n_ranges, n_beams) exceed their threshold."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _ratio(self, amplitude: npt.NDArray[Any], window: Window, **options: Any) -> FloatArray:
         """Amplitude over threshold with scale 1."""
-        raise NotImplementedError
 
     def _options(
         self, ping: Ping, noisy: BeamMask | None, wakes: Wakes | None, tracks: Tracks | None
