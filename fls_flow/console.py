@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
@@ -125,7 +126,8 @@ def nodes_table(graph: Graph, report: Report) -> Table:
             counts.shed
         )
         gave += [f"{counts.dropped} dropped"] * bool(counts.dropped)
-        times = [f"{counts.percentile_ms(q):.2f}" if counts.fired else "" for q in (50, 99)]
+        taken = [counts.percentile_ms(q) for q in (50, 99)]  # unknown of one that died
+        times = ["" if math.isnan(ms) else f"{ms:.2f}" for ms in taken]
         table.add_row(node.name, node.kind.name, str(counts.fired), *times, ", ".join(gave))
     return table
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sized
 from dataclasses import dataclass, field
@@ -65,7 +66,8 @@ class NodeCounts:
 
     def summary(self) -> dict[str, Any]:
         """The counts as plain values."""
-        times = {"p50_ms": self.percentile_ms(50), "p99_ms": self.percentile_ms(99)} if self.fired else {}
+        times = {"p50_ms": self.percentile_ms(50), "p99_ms": self.percentile_ms(99)}
+        times = {name: ms for name, ms in times.items() if not math.isnan(ms)}  # JSON has no nan
         counts = {"fired": self.fired, "failed": self.failed, "shed": self.shed, "dropped": self.dropped}
         outputs = {
             name: {
