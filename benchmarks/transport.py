@@ -6,6 +6,7 @@
 Each contestant runs in fresh processes, all of them once per round, in turn; medians over the rounds. Latency
 is one way, from before the sender's first copy to a numpy array at the receiver, at 100 Hz (4 MiB: 30 Hz);
 throughput is unpaced. Ratios are taken within a round: compare those between machines, not the microseconds.
+On a machine that has other work, `chrt -r 10` before the command keeps that out of all contestants alike.
 """
 
 from __future__ import annotations

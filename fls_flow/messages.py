@@ -201,7 +201,10 @@ class View(Sealed):
         """Area of the sector that the sonar sees, m^2."""
         if not self.bearing_rad.size:
             return 0.0
-        width = float(np.ptp(self.bearing_rad)) + abs(self.beam_spacing_rad)
+        span = float(np.ptp(self.bearing_rad))
+        if span > np.pi:  # or bearings jump by a turn within the sector
+            span = float(np.ptp(np.unwrap(self.bearing_rad)))
+        width = span + abs(self.beam_spacing_rad)
         return 0.5 * width * (self.range_max_m**2 - self.range_min_m**2)
 
 

@@ -130,19 +130,19 @@ class Layout(NamedTuple):
     header: bytes
     segments: tuple[tuple[npt.NDArray[Any], np.dtype[Any], int], ...]  # array, dtype on the wire, offset
 
-    def to_bytes(self, *, checksum: bool = True) -> bytes:
-        """The whole buffer."""
+    def to_bytes(self, *, checksum: bool = True, before: bytes = b"") -> bytes:
+        """The whole buffer, after what stands `before` it."""
         end = _PREFIX + len(self.header)
         pieces: list[bytes | memoryview] = []
         for array, dtype, start in self.segments:
             pieces += (bytes(start - end), np.ascontiguousarray(array, dtype).data)
             end = start + array.nbytes
         if not checksum:
-            return b"".join((self._prefix(None), *pieces))
+            return b"".join((before, self._prefix(None), *pieces))
         digest = xxh3_64()
         for piece in pieces:
             digest.update(piece)
-        return b"".join((self._prefix(digest.intdigest()), *pieces))
+        return b"".join((before, self._prefix(digest.intdigest()), *pieces))
 
     def write_into(self, buffer: bytearray | memoryview, *, checksum: bool = True) -> int:
         """Write the whole buffer to the start of `buffer`, and return its size."""

@@ -148,7 +148,17 @@ def link(opened: zenoh.Session, setting: Setting, process: str) -> ZenohLink:
         dict(zip(everywhere, everywhere, strict=True)), dict.fromkeys(everywhere, "here"), takers
     )
     prefix, arena = f"fls/{setting.key}", f"fls-{setting.key}-{process}"
-    return ZenohLink(opened, prefix, graph(setting), placement, process, window(setting), failed, arena)
+    return ZenohLink(
+        opened,
+        prefix,
+        graph(setting),
+        placement,
+        process,
+        window(setting),
+        failed,
+        meeting=setting.folder,
+        arena=arena,
+    )
 
 
 def failed(error: Exception) -> None:

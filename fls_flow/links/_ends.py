@@ -1,20 +1,20 @@
-"""The ends of the streams of one process: what gives, what takes, and what the clock is told."""
+"""The ends of what goes between processes: kinds of packets, who gives and takes, what the clock is told."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import zenoh
 
 from fls_flow import wire
 from fls_flow.links.memory import MemoryInbox
-from fls_flow.links.stream import NewestSender, Receiver, Sender
+from fls_flow.links.near import Line
+from fls_flow.links.stream import Sender
 from fls_flow.messages import Message
 
 __all__ = [
@@ -22,33 +22,41 @@ __all__ = [
     "DELIVERY",
     "END",
     "FINISHED",
+    "PLACED",
     "SAMPLE",
     "STARTED",
     "Arrived",
-    "Inlet",
-    "Outlet",
+    "Held",
+    "Input",
+    "Output",
     "Report",
 ]
 
-DELIVERY, END, SAMPLE, FINISHED, STARTED, CLOCK_END = range(6)  # the kinds of packets
+DELIVERY, SAMPLE, END, FINISHED, STARTED, CLOCK_END = range(6)  # the kinds of packets
+PLACED = 8  # beside a kind: the message lies in shared memory
 CLOSE_S = 1e-3  # firings that follow each other more closely may be told together
 
 
+Held = bytes | Callable[[], npt.NDArray[np.uint8]]  # a message as it travelled, or what gives its bytes
+
+
 @dataclass
-class Outlet:
-    """A stream that this process gives."""
+class Output:
+    """Where a port's messages go."""
 
-    publisher: zenoh.Publisher
-    sender: Sender
-    readers: int = 0  # of shared memory; 0: bytes travel
-    far: bool = True  # to other hosts: with checksums
+    number: int  # among the outputs of the graph
+    lines: list[Line] = field(default_factory=list)  # of this host
+    streams: list[Sender] = field(default_factory=list)
 
-    def end(self, last: int) -> None:
-        """Nothing comes after firing `last`."""
-        if isinstance(self.sender, NewestSender):
-            self.sender.finish((END, last))
-        else:
-            self.sender.send((END, last))
+
+@dataclass
+class Input:
+    """What takes a port's messages here."""
+
+    route: tuple[str, str, bool]  # node, port, whether it may lose pings
+    message_type: type[Any]
+    reader: int = 0  # which of the processes of this host that take them
+    opening: threading.Lock = field(default_factory=threading.Lock)
 
 
 class Report:
@@ -86,11 +94,12 @@ class Arrived:
 
     def __init__(
         self,
-        held: bytes | Callable[[], npt.NDArray[np.uint8]],
+        held: Held,
         message_type: type[Any],
         lock: threading.Lock,
     ) -> None:
-        self._held, self._type, self._lock = held, message_type, lock
+        self._held: Held = held
+        self._type, self._lock = message_type, lock
         self._message: Message | None = None
 
     def __call__(self) -> Message:
@@ -101,12 +110,3 @@ class Arrived:
                 self._message = wire.decode(held, self._type)
                 self._held = b""
             return self._message
-
-
-@dataclass
-class Inlet:
-    """A stream that this process takes."""
-
-    giver: str  # the process
-    receiver: Receiver
-    unanswered: bool = False

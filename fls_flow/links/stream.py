@@ -59,6 +59,10 @@ class Sender:
                 self._waiting[packet.number] = packet
             self._put(packet)
 
+    def finish(self, header: tuple[Any, ...]) -> None:
+        """Send what must not be lost whatever else is, such as the end."""
+        self.send(header)
+
     def acknowledged(self, receiver: str, number: int) -> None:
         """A receiver has everything up to `number`."""
         with self._lock:
@@ -131,7 +135,7 @@ class NewestSender(Sender):
         super().send(header, payload)
 
     def finish(self, header: tuple[Any, ...]) -> None:
-        """Send what must not be lost, such as the end, after what waits."""
+        """Send what must not be lost after what waits."""
         self._release(self._most + 1)
         super().send(header)
 

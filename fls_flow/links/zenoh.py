@@ -1,66 +1,64 @@
-"""Carries the items of a graph between processes over Zenoh; inside a process they pass by reference.
+"""Carries the items of a graph between processes; inside a process they pass by reference.
 
-Keys, under `fls/<graph>/<run>`:
+To processes of other hosts they go over Zenoh, under `fls/<graph>/<run>`, as streams (`far`):
 
-    <node>/<port>               what an output gives, for processes on other hosts: bytes of `wire`
-    <node>/<port>/@host/<host>  the same for processes on that host: of large messages, where they lie in the
-                                shared memory of `ring`
-    <node>/<port>/@latest/<process>  the same for sinks of that process that may lose pings
-    @control/<process>          finished firings, started pings, the end of the clock, from that process
-    @answer/<process>           acknowledgements and gaps, to that process
+    <node>/<port>                    what an output gives: bytes of `wire`
+    <node>/<port>/@latest/<process>  the same for sinks of that process that may lose pings, on any host
+    @control/<process>               finished firings, started pings, the end of the clock, from that process
+    @answer/<process>                acknowledgements and gaps, to that process
 
-Each key is a `stream`: nothing is lost when a link is cut and made again. Callbacks only enqueue.
+To processes of the same host they go over sockets (`near`), and large messages lie in shared memory (`ring`):
+the packet says where. Neither loses anything, and what reads a channel only enqueues.
 """
 
 from __future__ import annotations
 
-import logging
-import threading
-from collections.abc import Callable, Iterable
+import struct
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-import msgspec
 import zenoh
 
 from fls_flow import wire
-from fls_flow.errors import LinkError
 from fls_flow.graph import Graph
 from fls_flow.links import ClockEnd, Finished, Inbox, Started
-from fls_flow.links._callbacks import Kept
 from fls_flow.links._ends import (
     CLOCK_END,
     DELIVERY,
     END,
     FINISHED,
+    PLACED,
     SAMPLE,
     STARTED,
     Arrived,
-    Inlet,
-    Outlet,
+    Held,
+    Input,
+    Output,
     Report,
 )
+from fls_flow.links.far import Streams
 from fls_flow.links.memory import MemoryInbox, MemoryLink
+from fls_flow.links.near import HEAD, Door, Line, Take
 from fls_flow.links.placement import Placement, controls, takers
-from fls_flow.links.ring import MAX_READERS, Arena, Descriptor, Window
-from fls_flow.links.stream import NewestSender, Packet, Receiver, Sender
+from fls_flow.links.ring import MAX_READERS, Arena, Descriptor, Slot, Window
+from fls_flow.links.stream import Packet, Sender
 from fls_flow.messages import Message
 
 __all__ = ["ZenohLink"]
 
-log = logging.getLogger(__name__)
-
 SHARED_FROM = 128 << 10  # bytes; below that, a copy costs less than a lease
-_PACKER, _UNPACKER = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(list[Any])
 
-ANSWER_S = 0.02  # how long acknowledgements are gathered: they free memory, nothing waits for them
+_PLACE = struct.Struct("<QQQQ")  # a descriptor without its name: slot, offset, size, generation
 
 
 class ZenohLink:
-    """The link of one process: `local` for its own nodes, streams to and from all others.
+    """The link of one process: `local` for its own nodes, lines and streams to and from all others.
 
-    `failed` is told when something arrives that cannot be used. `arena` names this process's shared memory;
-    None: all messages go as bytes.
+    `failed` is told when something arrives that cannot be used. `meeting` is a folder of this user alone in
+    which the processes of this host have their sockets, and `arena` names this process's shared memory;
+    without the one all messages go over Zenoh, without the other as bytes.
     """
 
     def __init__(
@@ -72,37 +70,33 @@ class ZenohLink:
         process: str,
         window: int,
         failed: Callable[[Exception], None],
+        *,
+        meeting: Path | None = None,
         arena: str | None = None,
     ) -> None:
-        self._session, self._prefix, self._graph = session, prefix, graph
-        self._placement, self._process, self._failed = placement, process, failed
-        self._window = window
+        self._graph, self._placement = graph, placement
+        self._process, self._window, self._meeting = process, window, meeting
         self._nodes = frozenset(placement.nodes(process))
         self._local = MemoryLink(graph, window, nodes=self._nodes, free=placement.free)
-        self._types: dict[tuple[str, str], type[Any]] = {
-            (node.name, port.name): port.message for node in graph.nodes for port in node.kind.outputs
-        }
-        self._arena = None if arena is None else Arena(arena)
-        self._shared = Window()
-        self._senders: dict[str, Outlet] = {}
-        self._outputs: dict[tuple[str, str], list[Outlet]] = {}
-        self._receivers: dict[str, Inlet] = {}
-        self._answers: dict[str, zenoh.Publisher] = {}
+        ports = [(node.name, port.name, port.message) for node in graph.nodes for port in node.kind.outputs]
+        self._ports = [(node, port) for node, port, _ in ports]
+        self._types: dict[tuple[str, str], type[Any]] = {(node, port): kind for node, port, kind in ports}
         self._reports = {
             node: Report(partial(self._tell_finished, node), inbox, window)
             for node in placement.holders
             if node in self._nodes and isinstance(inbox := self._local.inbox(node), MemoryInbox)
         }
-        self._kept_threads = Kept()
-        self._closing = threading.Event()
-        self._declared: list[Any] = []
+        self._arena = None if arena is None or meeting is None else Arena(arena)
+        self._shared = Window()
+        self._lines: dict[str, Line] = {}
+        self._outputs: dict[tuple[str, str], Output] = {}
+        self._listeners: list[Line] = []  # of this process's control, on this host
+        self._control_stream: Sender | None = None
+        self._inputs: dict[tuple[str, str], Input] = {}
+        self._streams = Streams(session, prefix, process, failed)
         self._declare()
-        self._threads = [
-            threading.Thread(target=self._tick, name="zenoh-answers", daemon=True),
-            threading.Thread(target=self._resend, name="zenoh-resend", daemon=True),  # a put may block
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._streams.start()
+        self._door = None if meeting is None else Door(meeting / f"{process}.in", self._enter, failed)
 
     # --- the Link protocol -----------------------------------------------------------------------
 
@@ -113,21 +107,24 @@ class ZenohLink:
     def send(self, node: str, output: str, index: int, message: Message) -> None:
         """Deliver a value to all who take that output."""
         self._local.send(node, output, index, message)
-        self._put(node, output, (DELIVERY, index), message)
+        self._put(node, output, DELIVERY, index, message)
 
     def sample(self, node: str, output: str, message: Message) -> None:
         """Deliver a stream's message to all who take it."""
         self._local.sample(node, output, message)
-        self._put(node, output, (SAMPLE, -1), message)
+        self._put(node, output, SAMPLE, -1, message)
 
     def end(self, node: str, last: int) -> None:
         """Tell all who take anything of `node` that firing `last` was its last."""
         if node in self._reports:
             self._reports[node].tell()
         self._local.end(node, last)
-        for (giver, _), outlets in self._outputs.items():
-            for outlet in outlets if giver == node else ():
-                outlet.end(last)
+        for (giver, _), output in self._outputs.items():
+            if giver == node:
+                for line in output.lines:
+                    line.send(HEAD.pack(last, 0, output.number, END))
+                for stream in output.streams:
+                    stream.finish((END, last))
 
     def finished(self, node: str, index: int) -> None:
         """Tell the clock that `node`, which holds the window, is done with a firing."""
@@ -140,34 +137,34 @@ class ZenohLink:
         """Tell the streams that the clock has started a ping."""
         self._local.started(stamp_ns)
         if any(name not in self._nodes for name in self._graph.streams):
-            self._control((STARTED, stamp_ns))
+            self._control(STARTED, stamp_ns)
 
     def clock_end(self) -> None:
         """Tell the streams that no ping will be started any more."""
         self._local.clock_end()
         if any(name not in self._nodes for name in self._graph.streams):
-            self._control((CLOCK_END,))
+            self._control(CLOCK_END, 0)
 
     # --- life ------------------------------------------------------------------------------------
 
     def unmatched(self) -> list[str]:
-        """The keys that somebody must subscribe to before a ping is started."""
-        publishers = {key: outlet.publisher for key, outlet in self._senders.items()}
-        publishers |= {f"@answer/{name}": publisher for name, publisher in self._answers.items()}
-        return [key for key, publisher in publishers.items() if not _matched(publisher)]
+        """The keys and processes that somebody must take, or be, before a ping is started."""
+        return [
+            *self._streams.unmatched(),
+            *(name for name, one in self._lines.items() if not one.connected()),
+        ]
 
     def idle(self) -> bool:
         """Whether everything that was sent has arrived."""
-        return all(outlet.sender.idle for outlet in self._senders.values())
+        return self._streams.idle()
 
     def close(self) -> None:
         """End threads and declarations; the session is its owner's."""
-        self._closing.set()
-        for thread in self._threads:
-            thread.join(1.0)
-        self._answer()
-        for one in self._declared:
-            one.undeclare()
+        self._streams.close()
+        for line in self._lines.values():
+            line.close()
+        if self._door is not None:
+            self._door.close()
         self._shared.close()
         if self._arena is not None:
             self._arena.close()
@@ -177,214 +174,129 @@ class ZenohLink:
     def _declare(self) -> None:
         for (node, port, free), found in takers(self._graph, self._placement).items():
             giver = self._placement.process_of[node]
-            remote = found - {giver}
-            if free:
-                for taker in sorted(remote):
-                    self._declare_free(node, port, giver, taker)
-            elif giver == self._process:
-                self._declare_giver(node, port, remote)
-            elif self._process in remote:
-                self._declare_taker(node, port, giver, remote)
-        for giver, receivers in controls(self._graph, self._placement).items():
-            if giver == self._process and receivers:
-                self._outlet(f"@control/{giver}", receivers)
-            elif self._process in receivers:
-                self._inlet(f"@control/{giver}", giver, None, 0)
-        self._subscribe(f"@answer/{self._process}", self._answered)
-
-    def _declare_giver(self, node: str, port: str, remote: set[str]) -> None:
-        """One stream for the processes of this host, one for those of all others."""
-        here = self._placement.host_of[self._process]
-        near = {taker for taker in remote if self._placement.host_of[taker] == here}
-        for receivers, host in ((near, here), (remote - near, None)):
-            if receivers:
-                outlet = self._outlet(_data_key(node, port, host), receivers, shares=host is not None)
-                self._outputs.setdefault((node, port), []).append(outlet)
-
-    def _declare_taker(self, node: str, port: str, giver: str, remote: set[str]) -> None:
-        here = self._placement.host_of[self._process]
-        same = self._placement.host_of[giver] == here
-        readers = sorted(taker for taker in remote if self._placement.host_of[taker] == here)
-        key = _data_key(node, port, here if same else None)
-        self._inlet(key, giver, (node, port, False), readers.index(self._process))
+            for taker in sorted(found - {giver}) if free else ():
+                self._declare_free(node, port, giver, taker)
+            near, far = self._apart(giver, set() if free else found - {giver})
+            if giver == self._process:
+                output = self._output(node, port)
+                output.lines += [self._line(name) for name in sorted(near)]
+                output.streams += [self._streams.give(f"{node}/{port}", far)] if far else []
+            elif self._process in near:
+                self._inputs[node, port] = self._input(node, port, reader=sorted(near).index(self._process))
+            elif self._process in far:
+                self._streams.take(
+                    f"{node}/{port}", giver, partial(self._take_stream, self._input(node, port))
+                )
+        for giver, found in controls(self._graph, self._placement).items():
+            near, far = self._apart(giver, found)
+            if giver == self._process:
+                self._listeners = [self._line(name) for name in sorted(near)]
+                self._control_stream = self._streams.give(f"@control/{giver}", far) if far else None
+            elif self._process in far:
+                self._streams.take(f"@control/{giver}", giver, self._take_control_stream)
 
     def _declare_free(self, node: str, port: str, giver: str, taker: str) -> None:
         key = f"{node}/{port}/@latest/{taker}"
         if giver == self._process:
-            publisher = self._publisher(key, zenoh.CongestionControl.DROP)
-            sender = NewestSender(lambda packet: _put(publisher, packet), [taker], self._window)
-            outlet = self._kept(key, Outlet(publisher, sender))
-            self._outputs.setdefault((node, port), []).append(outlet)
+            stream = self._streams.give_newest(key, taker, self._window)
+            self._output(node, port).streams.append(stream)
         elif taker == self._process:
-            self._inlet(key, giver, (node, port, True), 0)
+            self._streams.take(key, giver, partial(self._take_stream, self._input(node, port, free=True)))
 
-    def _publisher(self, key: str, congestion: zenoh.CongestionControl) -> zenoh.Publisher:
-        publisher = self._session.declare_publisher(
-            f"{self._prefix}/{key}", congestion_control=congestion, reliability=zenoh.Reliability.RELIABLE
-        )
-        self._declared.append(publisher)
-        return publisher
+    def _apart(self, giver: str, found: set[str]) -> tuple[set[str], set[str]]:
+        """Those that lines reach, and those that only streams reach."""
+        host_of = self._placement.host_of
+        near = {name for name in found if self._meeting is not None and host_of[name] == host_of[giver]}
+        return near, found - near
 
-    def _outlet(self, key: str, receivers: Iterable[str], *, shares: bool = False) -> Outlet:
-        publisher = self._publisher(key, zenoh.CongestionControl.BLOCK)
-        receivers = sorted(receivers)
-        sender = Sender(lambda packet: _put(publisher, packet), receivers)
-        readers = len(receivers) if shares and self._arena and len(receivers) <= MAX_READERS else 0
-        return self._kept(key, Outlet(publisher, sender, readers, far=not shares))
+    def _output(self, node: str, port: str) -> Output:
+        return self._outputs.setdefault((node, port), Output(self._ports.index((node, port))))
 
-    def _kept(self, key: str, outlet: Outlet) -> Outlet:
-        def back(status: zenoh.MatchingStatus) -> None:
-            if status.matching:  # whoever comes back after a cut misses what was put meanwhile
-                outlet.sender.resend()
+    def _input(self, node: str, port: str, reader: int = 0, *, free: bool = False) -> Input:
+        return Input((node, port, free), self._types[node, port], reader)
 
-        self._declared.insert(0, outlet.publisher.declare_matching_listener(back))
-        self._senders[key] = outlet
-        return outlet
-
-    def _inlet(self, key: str, giver: str, route: tuple[str, str, bool] | None, reader: int) -> None:
-        if giver not in self._answers:
-            publisher = self._session.declare_publisher(
-                f"{self._prefix}/@answer/{giver}",
-                priority=zenoh.Priority.INTERACTIVE_HIGH,  # data that waits for a slow link must not drop it
-            )
-            self._answers[giver] = publisher
-            self._declared.append(publisher)
-
-        opening = threading.Lock()
-        if route is None:
-            inlet = Inlet(giver, Receiver(self._take_control))
-        else:
-            inlet = Inlet(
-                giver, Receiver(partial(self._take_data, route, self._types[route[:2]], reader, opening))
-            )
-        self._receivers[key] = inlet
-        self._subscribe(key, partial(self._arrived, key, inlet))
-
-    def _subscribe(self, key: str, callback: Callable[[zenoh.Sample], None]) -> None:
-        handler = zenoh.handlers.Callback(self._kept_threads(callback), indirect=False)
-        self._declared.append(self._session.declare_subscriber(f"{self._prefix}/{key}", handler))
+    def _line(self, process: str) -> Line:
+        assert self._meeting is not None  # else nobody is near
+        arena = "" if self._arena is None else self._arena.name
+        return self._lines.setdefault(process, Line(self._meeting / f"{process}.in", arena))
 
     # --- out -------------------------------------------------------------------------------------
 
-    def _put(self, node: str, output: str, header: tuple[Any, ...], message: Message) -> None:
-        outlets = self._outputs.get((node, output))
-        if not outlets:
+    def _put(self, node: str, port: str, kind: int, index: int, message: Message) -> None:
+        output = self._outputs.get((node, port))
+        if output is None:
             return
         layout = wire.layout(message)
-        payloads: dict[bool, bytes] = {}
-        for outlet in outlets:
-            place = self._placed(layout, outlet.readers)
-            if place is not None:
-                outlet.sender.send((*header, *place))
-                continue
-            if outlet.far not in payloads:
-                payloads[outlet.far] = layout.to_bytes(checksum=outlet.far)
-            outlet.sender.send(header, payloads[outlet.far])
+        if output.lines:
+            packet = self._packet(layout, output, kind, index)
+            for line in output.lines:
+                line.send(packet)
+        if output.streams:
+            payload = layout.to_bytes()
+            for stream in output.streams:
+                stream.send((kind, index), payload)
 
-    def _placed(self, layout: wire.Layout, readers: int) -> Descriptor | None:
-        """The message in shared memory; None when it is small or there is no room: then bytes travel."""
-        if not readers or layout.size < SHARED_FROM or self._arena is None:
-            return None
-        slot = self._arena.place(layout.size, (1 << readers) - 1)
+    def _packet(self, layout: wire.Layout, output: Output, kind: int, index: int) -> bytes:
+        """The message as it goes to processes of this host: where it lies, or its bytes."""
+        slot = self._slot(layout.size, len(output.lines))
         if slot is None:
-            return None
+            head = HEAD.pack(index, layout.size, output.number, kind)
+            return layout.to_bytes(checksum=False, before=head)
         layout.write_into(slot.view, checksum=False)
-        return slot.descriptor
+        return HEAD.pack(index, _PLACE.size, output.number, kind | PLACED) + _PLACE.pack(*slot.descriptor[1:])
+
+    def _slot(self, size: int, readers: int) -> Slot | None:
+        """Shared memory for a large message, if there is room: else its bytes travel."""
+        if size < SHARED_FROM or self._arena is None or readers > MAX_READERS:
+            return None
+        return self._arena.place(size, (1 << readers) - 1)
 
     def _tell_finished(self, node: str, index: int) -> None:
-        self._control((FINISHED, node, index))
+        self._control(FINISHED, index, node)
 
-    def _control(self, header: tuple[Any, ...]) -> None:
-        self._senders[f"@control/{self._process}"].sender.send(header)
+    def _control(self, kind: int, number: int, node: str | None = None) -> None:
+        place = 0 if node is None else self._placement.holders.index(node)
+        for line in self._listeners:
+            line.send(HEAD.pack(number, 0, place, kind))
+        if self._control_stream is not None:
+            self._control_stream.send((kind, number, place))
 
     # --- in --------------------------------------------------------------------------------------
 
-    def _arrived(self, key: str, inlet: Inlet, sample: zenoh.Sample) -> None:
-        try:
-            number, *header = _attached(sample)
-            gap = inlet.receiver.take(Packet(number, tuple(header), sample.payload.to_bytes()))
-            inlet.unanswered = True
-            if gap is not None:
-                self._tell(inlet.giver, [self._process, "gap", key, *gap])
-        except Exception as error:
-            self._failed(error if isinstance(error, LinkError) else LinkError(f"{key}: {error!r}"))
+    def _enter(self, arena: str) -> Take:
+        """What takes the packets of a process of this host, whose large messages lie in `arena`."""
+        return partial(self._take_line, arena)
 
-    def _take_data(
-        self,
-        route: tuple[str, str, bool],
-        message_type: type[Any],
-        reader: int,
-        opening: threading.Lock,
-        packet: Packet,
-    ) -> None:
-        kind, number, *place = packet.header
-        if kind == END:
-            self._local.deliver_end(route, number)
+    def _take_line(self, arena: str, kind: int, place: int, number: int, payload: bytes) -> None:
+        if kind >= FINISHED and not kind & PLACED:
+            self._take_control(kind, number, place)
             return
-        held = partial(self._shared.open, Descriptor(*place), reader) if place else packet.payload
-        arrived = Arrived(held, message_type, opening)
-        self._local.deliver_coming(route, number if kind == DELIVERY else None, arrived)
+        taken = self._inputs[self._ports[place]]
+        if kind & PLACED:
+            where = Descriptor(arena, *_PLACE.unpack(payload))
+            self._take_data(taken, kind ^ PLACED, number, partial(self._shared.open, where, taken.reader))
+        else:
+            self._take_data(taken, kind, number, payload)
 
-    def _take_control(self, packet: Packet) -> None:
-        kind, *values = packet.header
-        if kind == FINISHED and self._graph.clock in self._nodes:
-            self._local.inbox(self._graph.clock).post(Finished(*values))
-        elif kind in (STARTED, CLOCK_END):
-            for name in self._graph.streams:
-                if name in self._nodes:
-                    self._local.inbox(name).post(Started(*values) if kind == STARTED else ClockEnd())
+    def _take_stream(self, taken: Input, packet: Packet) -> None:
+        kind, number = packet.header
+        self._take_data(taken, kind, number, packet.payload)
 
-    # --- answers ---------------------------------------------------------------------------------
+    def _take_control_stream(self, packet: Packet) -> None:
+        self._take_control(*packet.header)
 
-    def _tick(self) -> None:
-        while not self._closing.wait(ANSWER_S):
-            self._answer()
+    def _take_data(self, taken: Input, kind: int, number: int, held: Held) -> None:
+        if kind == END:
+            self._local.deliver_end(taken.route, number)
+            return
+        arrived = Arrived(held, taken.message_type, taken.opening)
+        self._local.deliver_coming(taken.route, number if kind == DELIVERY else None, arrived)
 
-    def _resend(self) -> None:
-        while not self._closing.wait(ANSWER_S):
-            for outlet in self._senders.values():
-                outlet.sender.tick()
-
-    def _answer(self) -> None:
-        upto: dict[str, dict[str, int]] = {}
-        for key, inlet in self._receivers.items():
-            if inlet.unanswered:
-                inlet.unanswered = False
-                upto.setdefault(inlet.giver, {})[key] = inlet.receiver.expected - 1
-        for giver, streams in upto.items():
-            self._tell(giver, [self._process, "has", streams])
-
-    def _tell(self, giver: str, answer: list[Any]) -> None:
-        self._answers[giver].put(b"", attachment=_PACKER.encode(answer))
-
-    def _answered(self, sample: zenoh.Sample) -> None:
-        try:
-            receiver, word, *rest = _attached(sample)
-            if word == "has":
-                for key, number in rest[0].items():
-                    self._senders[key].sender.acknowledged(receiver, number)
-            else:
-                key, first, last = rest
-                self._senders[key].sender.resend(first, last)
-        except Exception as error:
-            self._failed(LinkError(f"an answer that makes no sense: {error!r}"))
-
-
-def _put(publisher: zenoh.Publisher, packet: Packet) -> None:
-    publisher.put(packet.payload, attachment=_PACKER.encode((packet.number, *packet.header)))
-
-
-def _matched(publisher: zenoh.Publisher) -> bool:
-    status: Any = publisher.matching_status  # the stub says bool; it is an object that is always true
-    return bool(status.matching)
-
-
-def _attached(sample: zenoh.Sample) -> list[Any]:
-    attachment = sample.attachment
-    if attachment is None:
-        raise LinkError(f"{sample.key_expr}: a message without its header")
-    return _UNPACKER.decode(attachment.to_bytes())
-
-
-def _data_key(node: str, port: str, host: str | None) -> str:
-    return f"{node}/{port}" if host is None else f"{node}/{port}/@host/{host}"
+    def _take_control(self, kind: int, number: int, place: int) -> None:
+        if kind == FINISHED:
+            if self._graph.clock in self._nodes:
+                self._local.inbox(self._graph.clock).post(Finished(self._placement.holders[place], number))
+            return
+        for name in self._graph.streams:
+            if name in self._nodes:
+                self._local.inbox(name).post(Started(number) if kind == STARTED else ClockEnd())

@@ -134,6 +134,7 @@ class _Worker:
             group.name,
             assignment.pace.window,
             self._link_failed,
+            meeting=Path(assignment.sockets),
             arena=f"{assignment.arenas}{group.name}",
         )
         share = Share(

@@ -277,6 +277,13 @@ def test_the_area_is_that_of_the_sector() -> None:
     assert View().area_m2 == 0.0
 
 
+def test_area_of_a_sector_across_180_degrees_is_that_of_the_same_sector_ahead() -> None:
+    ahead = np.radians(np.arange(-30.0, 31.0))
+    behind = np.arctan2(np.sin(ahead + np.pi), np.cos(ahead + np.pi))
+    areas = [View(1.0, 9.0, 0.1, bearing).area_m2 for bearing in (ahead, behind)]
+    assert_allclose(areas, 0.5 * np.radians(61.0) * 80.0)
+
+
 def test_detections_hold_no_memory_of_the_ping() -> None:
     # the bearing table lies in one block with the image, as in a decoded buffer
     block = np.zeros(8 + 3 * 8 + 40, np.uint8)
