@@ -174,19 +174,11 @@ class ZenohLink:
     def _declare(self) -> None:
         for (node, port, free), found in takers(self._graph, self._placement).items():
             giver = self._placement.process_of[node]
-            for taker in sorted(found - {giver}) if free else ():
-                self._declare_free(node, port, giver, taker)
-            near, far = self._apart(giver, set() if free else found - {giver})
-            if giver == self._process:
-                output = self._output(node, port)
-                output.lines += [self._line(name) for name in sorted(near)]
-                output.streams += [self._streams.give(f"{node}/{port}", far)] if far else []
-            elif self._process in near:
-                self._inputs[node, port] = self._input(node, port, reader=sorted(near).index(self._process))
-            elif self._process in far:
-                self._streams.take(
-                    f"{node}/{port}", giver, partial(self._take_stream, self._input(node, port))
-                )
+            if free:
+                for taker in sorted(found - {giver}):
+                    self._declare_free(node, port, giver, taker)
+            else:
+                self._declare_port(node, port, giver, found - {giver})
         for giver, found in controls(self._graph, self._placement).items():
             near, far = self._apart(giver, found)
             if giver == self._process:
@@ -194,6 +186,19 @@ class ZenohLink:
                 self._control_stream = self._streams.give(f"@control/{giver}", far) if far else None
             elif self._process in far:
                 self._streams.take(f"@control/{giver}", giver, self._take_control_stream)
+
+    def _declare_port(self, node: str, port: str, giver: str, found: set[str]) -> None:
+        near, far = self._apart(giver, found)
+        if giver == self._process:
+            if near:
+                self._output(node, port).lines += [self._line(name) for name in sorted(near)]
+            if far:
+                self._output(node, port).streams.append(self._streams.give(f"{node}/{port}", far))
+        elif self._process in near:
+            self._inputs[node, port] = self._input(node, port, reader=sorted(near).index(self._process))
+        elif self._process in far:
+            taken = self._input(node, port)
+            self._streams.take(f"{node}/{port}", giver, partial(self._take_stream, taken))
 
     def _declare_free(self, node: str, port: str, giver: str, taker: str) -> None:
         key = f"{node}/{port}/@latest/{taker}"
