@@ -49,7 +49,7 @@ def progress(console: Console, total: int | None, *, shown: bool) -> Iterator[Co
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,
-        disable=not shown,
+        disable=not (shown and console.is_terminal),
         refresh_per_second=8,
     )
     with bar:

@@ -7,7 +7,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -34,34 +34,48 @@ class LocalRun:
 def _bases() -> list[Path]:
     given = os.environ.get("XDG_RUNTIME_DIR")
     own = Path(tempfile.gettempdir()) / f"fls-flow-{os.getuid()}"
-    return [*([Path(given) / "fls-flow"] if given else []), own]
+    return [*([Path(given) / "fls-flow"] if given and Path(given).is_absolute() else []), own]
 
 
 @contextmanager
 def meeting_place(run: str, names: Iterable[str]) -> Iterator[Path]:
     """A private folder in which the processes of a run meet, with a socket of each name; removed at the end.
 
-    It lies under `$XDG_RUNTIME_DIR/fls-flow`; without one, or where the names of sockets become too long for
-    the system, under a private folder of this user in the temporary one. Raises RunError when that is not
-    private.
+    It lies under `$XDG_RUNTIME_DIR/fls-flow`; without one, where nothing can be made in it, or where the
+    names of sockets become too long for the system, under a private folder of this user in the temporary one.
+    Raises RunError when that is not private, or when nothing can be made in it either.
     """
     bases = _bases()
     longest = max((len(os.fsencode(name)) for name in names), default=0) + len("/") + len(".lock")
     fitting = [one for one in bases if len(os.fsencode(one / run)) + longest < SOCKET_PATH_BYTES]
     if not fitting:
         raise RunError(f"{bases[-1]}: too long for sockets; set XDG_RUNTIME_DIR to a shorter folder")
-    folder = fitting[0]
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise RunError(f"{folder}: is not a private folder of this user; remove it or set XDG_RUNTIME_DIR")
-    _sweep(folder)
-    path = folder / run
-    path.mkdir(mode=0o700)
+    path = _made(fitting, run)
     try:
         yield path
     finally:
         shutil.rmtree(path, ignore_errors=True)
+
+
+def _made(folders: Sequence[Path], run: str) -> Path:
+    """A new folder for the run in the first of these in which one can be made."""
+    reasons = []
+    for folder in folders:
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            _private(folder)
+            _sweep(folder)
+            (folder / run).mkdir(mode=0o700)
+            return folder / run
+        except OSError as error:
+            reasons.append(f"{folder}: cannot be used: {error.strerror}")
+    raise RunError(f"{'; '.join(reasons)}; set XDG_RUNTIME_DIR to a folder of your own")
+
+
+def _private(folder: Path) -> None:
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise RunError(f"{folder}: is not a private folder of this user; remove it or set XDG_RUNTIME_DIR")
 
 
 def _sweep(folder: Path) -> None:

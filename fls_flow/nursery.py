@@ -15,7 +15,7 @@ import sys
 from typing import TYPE_CHECKING, BinaryIO
 
 from fls_flow.channel import Channel
-from fls_flow.errors import UserError
+from fls_flow.errors import RunError, UserError
 
 if TYPE_CHECKING:
     from fls_flow.deploy import Group
@@ -35,7 +35,8 @@ class Nursery:
 
     def __init__(self) -> None:
         ours, theirs = socket.socketpair()
-        command = [sys.executable, "-m", "fls_flow.nursery_process", str(theirs.fileno())]
+        numbers = str(theirs.fileno()), str(os.getpid())
+        command = [sys.executable, "-m", "fls_flow.nursery_process", *numbers]
         self.process = subprocess.Popen(
             command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, process_group=0
         )
@@ -55,6 +56,7 @@ class Nursery:
         for group in groups:
             ours, theirs = socket.socketpair()
             read, write = os.pipe()
+            os.set_blocking(read, False)  # a process that a node has started may hold the other end for ever
             given += [theirs.detach(), write]
             children[group.name] = (Channel(ours), os.fdopen(read, "rb", buffering=0))
         document = {
@@ -66,10 +68,15 @@ class Nursery:
             "groups": [{"name": one.name, "nodes": one.nodes, "threads": one.threads} for one in groups],
         }
         line = json.dumps(document, default=str).encode() + b"\n"
-        sent = socket.send_fds(self.channel.socket, [line], given)
-        self.channel.socket.sendall(line[sent:])
-        for descriptor in given:
-            os.close(descriptor)
+        try:
+            sent = socket.send_fds(self.channel.socket, [line], given)
+            self.channel.socket.sendall(line[sent:])
+        except OSError as error:
+            said = self.channel.receive() or {"text": "it died"}
+            raise RunError(f"the process that starts the others failed: {said['text']}") from error
+        finally:
+            for descriptor in given:
+                os.close(descriptor)
         return children
 
     def end(self) -> None:

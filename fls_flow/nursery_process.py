@@ -1,12 +1,14 @@
 """Brings up the processes of a run quickly: loads everything once, then forks one child per group of nodes.
 
-Started as `python -m fls_flow.nursery_process FD` before the supervisor has even read the graph, so that both
-import side by side. It opens no Zenoh session and starts no thread: a forked child may do both.
+Started as `python -m fls_flow.nursery_process FD PID` before the supervisor PID has even read the graph, so
+that both import side by side. It opens no Zenoh session and starts no thread: a forked child may do both.
 """
 
 from __future__ import annotations
 
+import ctypes
 import gc
+import json
 import os
 import shutil
 import signal
@@ -16,11 +18,26 @@ from typing import Any
 
 __all__ = ["main"]
 
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
 MAX_PROCESSES = 250  # what one message with file descriptors can carry
 
 
 def main() -> None:
     """Wait for an assignment, fork, tell of every child that ends; end when all have."""
+    end = socket.socket(fileno=int(sys.argv[1]))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to answer
+    _die_with_supervisor(True)  # while it loads, perhaps compiles, it listens to nobody
+    if os.getppid() != int(sys.argv[2]):
+        return  # it has died already
+    try:
+        _bring_up(end)
+    except Exception as error:
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        end.sendall(json.dumps({"word": "failed", "text": text}).encode() + b"\n")
+        sys.exit(1)
+
+
+def _bring_up(end: socket.socket) -> None:
     from fls_flow import graph as graphs
     from fls_flow import kernels
     from fls_flow.channel import Channel
@@ -28,17 +45,14 @@ def main() -> None:
     from fls_flow.links import ring
     from fls_flow.runtime import worker
 
-    end = socket.socket(fileno=int(sys.argv[1]))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to answer
     kernels.prepare()  # while the supervisor reads the graph; nearly every graph has compiled nodes
     message, descriptors, _, _ = socket.recv_fds(end, 1 << 16, 2 * MAX_PROCESSES)
     if not message:
         return
+    _die_with_supervisor(False)  # from here on it has to tidy up after it
     channel = Channel(end)
     while not message.endswith(b"\n"):
         message += end.recv(1 << 16)
-    import json
-
     said = json.loads(message)
     _preload(said["modules"])
     graph = graphs.load(said["graph"], use=said["use"], set_=said["set"])
@@ -64,6 +78,11 @@ def main() -> None:
     # a killed process leaves shared memory, a killed supervisor the folder of sockets
     ring.sweep(assignment.arenas)
     shutil.rmtree(assignment.sockets, ignore_errors=True)
+
+
+def _die_with_supervisor(yes: bool) -> None:
+    """Let Linux kill this process when its parent dies, or not any more."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL if yes else 0)
 
 
 def _preload(modules: list[str]) -> None:

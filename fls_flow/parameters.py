@@ -16,13 +16,16 @@ from fls_flow.catalog import Kind, Parameter, suggest
 from fls_flow.document import Value, plain, shown
 from fls_flow.errors import PluginError, Problem
 
-__all__ = ["Checked", "check", "resolve", "type_name"]
+__all__ = ["Checked", "Models", "check", "resolve", "type_name"]
 
 # an int is a float, text is a Path, a list is a tuple: nothing else turns into something else
 STRICT = ConfigDict(strict=True, extra="forbid", arbitrary_types_allowed=False, protected_namespaces=())
 # as pydantic calls them: in a model, in a dataclass
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 MISSING = ("missing", "missing_argument")
+
+
+Models = dict[type, type[BaseModel]]  # by node class
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,33 +36,40 @@ class Checked:
     problems: tuple[Problem, ...]
 
 
-def check(kind: Kind, given: Mapping[str, Value], node: str, where: str) -> Checked:
+def check(
+    kind: Kind, given: Mapping[str, Value], node: str, where: str, models: Models | None = None
+) -> Checked:
     """The arguments that `given` makes for `kind`; every mistake names the node and says what fits.
 
-    Raises PluginError when the class has a parameter whose annotation no graph file can express.
+    `models` keeps what is costly to make of a class, for its next node. Raises PluginError when the class has
+    a parameter whose annotation no graph file can express.
     """
-    model = _model(kind)
+    models = {} if models is None else models
+    if kind.cls not in models:
+        models[kind.cls] = _model(kind)
+    model = models[kind.cls]
     document = {name: plain(value) for name, value in given.items()}
     try:
         checked = model.model_validate_json(json.dumps(document))
     except ValidationError as error:
         problems = [_problem(kind, given, node, where, one) for one in _causes(error)]
         return Checked({}, tuple(dict.fromkeys(problems)))
-    except Exception as error:  # a nested dataclass raised something else than ValueError
+    except (Exception, SystemExit) as error:  # a nested dataclass raised something else than ValueError
         return Checked({}, (_refused(error, given, node, where),))
     arguments = {_field(name): getattr(checked, name) for name in checked.model_fields_set}
     if kind.outputs:  # a sink's paths lie under the folder of each run
         arguments = {name: _resolved(value, given[name].folder) for name, value in arguments.items()}
     try:
         kind.cls(**arguments)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         return Checked({}, (_refused(error, given, node, where),))
     return Checked(arguments, ())
 
 
-def _refused(error: Exception, given: Mapping[str, Value], node: str, where: str) -> Problem:
+def _refused(error: BaseException, given: Mapping[str, Value], node: str, where: str) -> Problem:
     """What the class itself says, at the first parameter that it names as a word."""
     text = " ".join(str(error).split()) or type(error).__name__
+    text = f"SystemExit: {text}" if isinstance(error, SystemExit) else text
     named = ((re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text), value) for name, value in given.items())
     found = sorted((match.start(), value.where) for match, value in named if match)
     return Problem(found[0][1] if found else where, f"node '{node}': {text}")

@@ -262,7 +262,10 @@ class Recording:
                     if file.tell() > len(MAGIC) and not file.read(1):
                         log.warning("%s was never closed: it is read up to where it ends", self.path)
                         return
-                    raise self.fault(f"at byte {file.tell()}: {error}; is this an MCAP file?") from error
+                    what = str(error) or "the file ends"
+                    raise self.fault(
+                        f"at byte {max(file.tell(), 0)}: {what}; is this an MCAP file?"
+                    ) from error
                 if record is None or isinstance(record, DataEnd):
                     return
                 if isinstance(record, Chunk):

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import zenoh
 
-from fls_flow.children import Child
+from fls_flow.children import Child, Children
 from fls_flow.deploy import Deployment
 from fls_flow.errors import FlsFlowError, RunError
 from fls_flow.graph import Graph
@@ -23,8 +23,8 @@ from fls_flow.links import ring
 from fls_flow.local_runs import announce, meeting_place
 from fls_flow.nursery import Nursery
 from fls_flow.observe import NodeCounts
-from fls_flow.runtime import Options, Pace, Report, pace_of
-from fls_flow.runtime.worker import Assignment, close_session, open_session
+from fls_flow.runtime import Options, Pace, Report, pace_of, pings_of
+from fls_flow.runtime.worker import HUB, Assignment, close_session, open_session
 
 __all__ = ["ProcessError", "Supervisor"]
 
@@ -32,7 +32,6 @@ log = logging.getLogger(__name__)
 
 DRAIN_S = 0.8  # of that, for the pings in flight: closing takes time too, a picture's most
 STOP_S = 1.9  # from a stop until what has not ended is killed
-PART_S = 1.0  # how long processes may take to exit after the end
 
 
 class ProcessError(RunError):
@@ -58,10 +57,10 @@ class Supervisor:
     ) -> None:
         self.id = uuid.uuid4().hex[:12]
         self.graph, self.deployment, self.host = graph, deployment, host
-        self._nursery, self._out, self._on_finished = nursery, out, on_finished
+        self._out, self._on_finished = out, on_finished
         clock = graph.node(graph.clock)
         instance = clock.kind.cls(**clock.arguments)
-        self.total = len(instance) if hasattr(instance, "__len__") else None
+        self.total = pings_of(instance)
         window = options.window or deployment.window
         self._pace = pace_of(Options(window=window, rate=options.rate), instance)
         self.window = self._pace.window
@@ -72,7 +71,7 @@ class Supervisor:
             "deadline_s": deployment.deadline_s,
             "samples_taken": options.samples_taken,
         }
-        self._children: dict[str, Child] = {}
+        self._children = Children(nursery, deployment.groups(host))
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_write, False)
         self._stopped_at: float | None = None
@@ -94,8 +93,8 @@ class Supervisor:
         """
         began = time.monotonic()
         ring.sweep("fls-", abandoned=True)  # of runs that were killed whole
-        with meeting_place(self.id, ["hub", *self._names()]) as place:
-            hub = f"unixsock-stream/{place}/hub"
+        with meeting_place(self.id, [HUB, *self._names()]) as place:
+            hub = f"unixsock-stream/{place}/{HUB}"
             session = open_session(self.deployment.zenoh_config(self.host, listen=[hub]))
             try:
                 terms = self._agree(session)
@@ -103,7 +102,7 @@ class Supervisor:
                     return self._never_began(time.monotonic() - began)
                 assignment = self._assignment(terms, place)
                 announce(place, self.graph.name, terms.run, self.host, hub)
-                self._bear(assignment)
+                self._children.bear(self.graph, assignment)
                 self._meet(session, assignment)
                 try:
                     self._watch()
@@ -163,19 +162,13 @@ class Supervisor:
     def _names(self) -> list[str]:
         return [group.name for group in self.deployment.groups(self.host)]
 
-    def _bear(self, assignment: Assignment) -> None:
-        born = self._nursery.bear(self.graph, assignment, self.deployment.groups(self.host))
-        for group in self.deployment.groups(self.host):
-            channel, output = born[group.name]
-            self._children[group.name] = Child(group, channel, output, heard=time.monotonic())
-
     # --- watching --------------------------------------------------------------------------------
 
     def _watch(self) -> None:
         with selectors.DefaultSelector() as selector:
             selector.register(self._wake_read, selectors.EVENT_READ, self._woken)
-            selector.register(self._nursery.channel, selectors.EVENT_READ, self._nursery_said)
-            for child in self._children.values():
+            selector.register(self._children.nursery.channel, selectors.EVENT_READ, self._nursery_said)
+            for child in self._children:
                 selector.register(child.channel, selectors.EVENT_READ, lambda c=child: self._said(c))
                 selector.register(child.output, selectors.EVENT_READ, child.show_printed)
             while not self._over():
@@ -207,12 +200,11 @@ class Supervisor:
 
     def _advance(self) -> None:
         """Say how far this host is; start the nodes when all hosts are ready, the clock last."""
-        children = self._children.values()
         if self._went:
-            if self._hosts is not None and all(child.done for child in children) and self._done():
+            if self._hosts is not None and self._children.done and self._done():
                 self._hosts.say("done", error=str(self._error) if self._error else None)
             return
-        if self._stopped_at is not None or not all(child.ready for child in children):
+        if self._stopped_at is not None or not self._children.ready:
             return
         if self._hosts is not None:
             self._hosts.say("ready")
@@ -222,16 +214,13 @@ class Supervisor:
                 return
             self._hosts.say("go")
         self._went = True
-        clock = self.deployment.process_of(self.graph.clock)
-        for name in sorted(self._children, key=lambda name: name == clock):
-            self._children[name].heard = time.monotonic()
-            self._children[name].channel.send("go")
+        self._children.go(last=self.deployment.process_of(self.graph.clock))
 
     def _follows(self, hosts: Hosts) -> bool:
         return hosts.state(self.deployment.leader) in ("go", "done")
 
     def _over(self) -> bool:
-        if not all(child.done for child in self._children.values()):
+        if not self._children.done:
             return False
         if self._hosts is None:
             return self._went or self._stopped_at is not None
@@ -252,8 +241,7 @@ class Supervisor:
             self._hosts.say(state, error=str(self._error) if self._error else None)
         if self._stopped_at is None:
             self._stopped_at = time.monotonic()
-            for child in self._children.values():
-                child.channel.send("stop")
+            self._children.tell("stop")
 
     def _fail(self, error: FlsFlowError) -> None:
         log.error("%s", error)
@@ -261,21 +249,14 @@ class Supervisor:
         self._halt("failed")
 
     def _check_time(self) -> None:
-        now = time.monotonic()
-        late = [name for name, child in self._children.items() if not child.done]
         if self._hosts is not None and self._error is None and (lost := self._lost(self._hosts)) is not None:
             self._fail(RunError(lost))
-        if late and self._stopped_at is not None and now - self._stopped_at > STOP_S:
-            log.error("did not stop in time and were killed: %s", ", ".join(late))
-            self._nursery.kill()
-            for child in self._children.values():
-                child.done = True
+        late = self._stopped_at is not None and time.monotonic() - self._stopped_at > STOP_S
+        if late and not self._children.done:
+            self._children.kill()
         elif self._went:
-            for child in self._children.values():
-                silent = now - child.heard
-                if not child.done and silent > self.deployment.lost_after_s:
-                    child.done = True
-                    self._fail(ProcessError(f"{child} is silent for {silent:.1f} s"))
+            for child, silent_s in self._children.silent(self.deployment.lost_after_s):
+                self._fail(ProcessError(f"{child} is silent for {silent_s:.1f} s"))
 
     def _lost(self, hosts: Hosts) -> str | None:
         """Why the run cannot go on without another host: it fell silent, or never came."""
@@ -294,7 +275,8 @@ class Supervisor:
             getattr(self, f"_on_{said.pop('word')}")(child, **said)
         if not there and not child.done:
             child.done = True
-            self._wait_for_exit(child)
+            child.look()
+            self._children.wait_for_exit(child)
             self._fail(ProcessError(f"{child} died{child.cause}"))
         return there
 
@@ -302,8 +284,8 @@ class Supervisor:
         child.ready = True
         self._advance()
 
-    def _on_beat(self, child: Child, pings: int, fired: dict[str, int]) -> None:
-        child.fired = fired
+    def _on_beat(self, child: Child) -> None:
+        """It lives: that it was heard is noted already."""
 
     def _on_pings(self, child: Child, pings: int) -> None:
         self._pings = pings
@@ -318,6 +300,8 @@ class Supervisor:
 
     def _on_done(self, child: Child, report: dict[str, Any] | None) -> None:
         child.done, child.report = True, report
+        if report is not None and report["error"] is not None and self._error is None:
+            self._fail(RunError(report["error"]))  # found while closing: nobody has told of it yet
         clock = (report or {}).get("counts", {}).get(self.graph.clock)
         if clock and self._hosts is not None and self._stopped_at is None:
             self._hosts.count(clock["fired"])  # the clock does not wait for the last to be finished
@@ -326,44 +310,29 @@ class Supervisor:
         logging.getLogger(name).log(level, "[%s] %s", child.group.name, text)
 
     def _nursery_said(self) -> bool:
-        documents, there = self._nursery.channel.drain()
-        for said in documents:
-            self._children[said["process"]].exit_code = said["code"]
-        if not there and not all(child.done for child in self._children.values()):
-            self._fail(ProcessError("the process that started the others died"))
-            for child in self._children.values():
+        there, wrong = self._children.hear_nursery()
+        if wrong is not None:
+            self._fail(ProcessError(wrong))
+            for child in self._children:
                 child.done = True
-        return there
-
-    def _wait_for_exit(self, child: Child) -> None:
-        """The nursery says how a child ended a moment after its channel closed."""
-        while child.exit_code is None and (said := self._nursery.channel.receive()) is not None:
-            self._children[said["process"]].exit_code = said["code"]
+        return there and wrong is None
 
     # --- the end ---------------------------------------------------------------------------------
 
     def _part(self) -> None:
-        for child in self._children.values():
-            child.channel.send("bye")
-        deadline = time.monotonic() + PART_S
-        for child in self._children.values():
-            if child.report is not None:
-                child.channel.wait_closed(deadline - time.monotonic())
+        self._children.part()
         if self._hosts is not None:
             self._hosts.close()
-        self._nursery.end()
-        for child in self._children.values():
-            child.show_printed()
-            child.channel.close()
-            child.output.close()
+        self._end()
+
+    def _end(self) -> None:
+        self._children.close()
         os.close(self._wake_read)
         os.close(self._wake_write)
 
     def _never_began(self, seconds: float) -> Report:
         """The report of a host that was stopped while it waited for the leader."""
-        self._nursery.end()
-        os.close(self._wake_read)
-        os.close(self._wake_write)
+        self._end()
         counts = {name: NodeCounts() for name in self.deployment.nodes(self.host)}
         return Report("interrupted", 0, seconds, counts)
 
@@ -371,18 +340,12 @@ class Supervisor:
         status: Literal["finished", "interrupted", "failed"] = (
             "interrupted" if self._interrupted else "finished"
         )
-        counts: dict[str, NodeCounts] = {name: NodeCounts() for name in self.deployment.nodes(self.host)}
-        taken: dict[str, dict[str, list[int]]] = {}
-        for child in self._children.values():
-            if child.report is not None:
-                counts |= {name: NodeCounts.of_summary(one) for name, one in child.report["counts"].items()}
-                taken |= child.report["samples_taken"]
-            else:  # it died: what it said last
-                counts |= {name: NodeCounts(fired=fired) for name, fired in child.fired.items()}
+        counts = {name: NodeCounts() for name in self.deployment.nodes(self.host)} | self._children.counts()
         here = [name for name in self.deployment.holders(self.graph) if name in counts]
         if not here and status == "finished" and self._error is None:  # all that was started went through
             here = [name for name in counts if name not in self.graph.streams]
         pings = max(min((counts[name].fired for name in here), default=0), self._pings)
         self._on_finished(pings)
         after = 0.0 if self._first is None else self._watched - self._first
+        taken = self._children.samples_taken()
         return Report("failed" if self._error else status, pings, seconds, counts, taken, self._error, after)

@@ -6,6 +6,8 @@ Ctrl-C.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import importlib
 import os
 import sys
@@ -78,26 +80,59 @@ def cli(debug: bool) -> None:
 
 def main() -> None:
     """Run the command line; every error is one line, with a traceback only for --debug."""
+    _open_streams()
     debug = "--debug" in sys.argv[1:]
     if debug:  # wherever it stands
         sys.argv = [sys.argv[0], "--debug", *(word for word in sys.argv[1:] if word != "--debug")]
     try:
         sys.exit(cli(standalone_mode=False) or 0)
-    except click.ClickException as error:
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
+        sys.exit(error.exit_code)
+    except click.ClickException as error:
+        show(FlsFlowError(_usage(error)), debug)
         sys.exit(error.exit_code)
     except click.exceptions.Abort:
         sys.exit(130)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read has had enough
+        _drop_output()  # whoever read has had enough
         sys.exit(1)
     except FlsFlowError as error:
         show(error, debug)
         sys.exit(error.exit_code)
     except OSError as error:
-        show(FlsFlowError(f"{error.filename or 'output'}: {error.strerror}"), debug)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nor can the rest be written
+        show(FlsFlowError(_told(error)), debug)
+        _drop_output()  # nor can the rest be written
         sys.exit(1)
     except Exception as error:
         show(error, debug)
         sys.exit(1)
+
+
+def _usage(error: click.ClickException) -> str:
+    """What click has to say, and where help is, on one line."""
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    command = context.command_path if context is not None else "fls-flow"
+    return f"{error.format_message().removesuffix('.')}; see {command} --help"
+
+
+def _open_streams() -> None:
+    """Stand-ins for standard streams that are closed: what is opened next must not be taken for them."""
+    for descriptor in (0, 1, 2):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest that is free: this one
+    sys.stdout = sys.stdout or os.fdopen(1, "w", encoding="utf-8", closefd=False)
+    sys.stderr = sys.stderr or os.fdopen(2, "w", encoding="utf-8", closefd=False)
+
+
+def _told(error: OSError) -> str:
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return "too many open files; raise the limit (ulimit -n)"
+    return f"{error.filename or 'output'}: {error.strerror or error}"
+
+
+def _drop_output() -> None:
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from fls_flow.graph import Graph
 
-__all__ = ["JSON", "SET", "USE", "load", "screen", "show"]
+__all__ = ["JSON", "SET", "USE", "load", "printable", "screen", "show"]
 
 USE = click.option("--use", multiple=True, metavar="NODE=KIND", help="Swap the kind of a node. Repeatable.")
 SET = click.option(
@@ -35,7 +35,12 @@ def show(error: Exception, debug: bool) -> None:
         text = " ".join(str(error).split())
         lines = [f"internal error: {type(error).__name__}: {text}; --debug shows where"]
     for line in lines:
-        click.echo(f"error: {line}", err=True)
+        click.echo(f"error: {printable(line)}", err=True)
+
+
+def printable(text: str) -> str:
+    """The text on one line, with what a terminal would obey written out."""
+    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in text)
 
 
 def screen(*, stderr: bool) -> Console:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import sys
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fls_flow.cli.common import JSON, SET, USE, load, screen
-from fls_flow.errors import FlsFlowError, RunError, UserError
+from fls_flow.errors import RunError, UserError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -128,7 +129,11 @@ def _settings(options: dict[str, Any]) -> Options:
     if options["repeat"] is not None:
         try:
             taken = json.loads(options["repeat"].read_text(encoding="utf-8"))["samples_taken"]
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            taken = {
+                node: {port: [int(one) for one in numbers] for port, numbers in ports.items()}
+                for node, ports in taken.items()
+            }
+        except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
             raise UserError(f"--repeat {options['repeat']}: is no run.json of a run that ended") from error
     try:
         return Options(options["window"], options["rate"], options["in_order"], samples_taken=taken)
@@ -153,24 +158,32 @@ def _run(
     if occupied:
         (folder.path / "run.json").unlink()
         raise UserError(f"{occupied[0]}: is there already; name another --out folder")
-    began = _now()
+    about = {"began": _now(), **runtime.describe(checked)}
     count: list[Callable[[int], None]] = []
-    one = _prepared(checked, settings, folder, nursery, deployment, host, lambda pings: count[0](pings))
-    about = {"run": one.id, "began": began, "window": one.window, **runtime.describe(checked)}
-    folder.record({"status": "running", **about})
-    with console.progress(terminal, one.total, shown=shown) as counting, _stopped_by_signals(one):
-        count.append(counting)
-        try:
+    try:
+        one = _prepared(checked, settings, folder, nursery, deployment, host, lambda pings: count[0](pings))
+        about = {"run": one.id, "window": one.window, **about}
+        folder.record({"status": "running", **about})
+        with console.progress(terminal, one.total, shown=shown) as counting, _stopped_by_signals(one):
+            count.append(counting)
             report = one.start()
-        except FlsFlowError as error:
-            folder.record({**about, "status": "failed", "error": str(error), "ended": _now()})
-            raise
+    except BaseException as error:
+        with contextlib.suppress(RunError):  # the disk may be full: what ended the run is what to tell
+            folder.record({**about, **_cut_short(error)})
+        raise
     about |= {"run": one.id, "window": one.window}  # a host that does not lead has learnt them
     try:
         folder.record({**about, "ended": _now(), **report.summary()})
     except RunError as error:  # a full disk has most likely ended the run already: that is the one to tell
         report.error = report.error or error
     return report
+
+
+def _cut_short(error: BaseException) -> dict[str, Any]:
+    """What `run.json` says of a run that ended without a report."""
+    if isinstance(error, click.exceptions.Abort | KeyboardInterrupt):
+        return {"status": "interrupted", "error": "stopped at once by a second signal", "ended": _now()}
+    return {"status": "failed", "error": str(error) or type(error).__name__, "ended": _now()}
 
 
 def _prepared(
@@ -201,13 +214,15 @@ def _now() -> str:
 
 @contextmanager
 def _stopped_by_signals(one: Run | Supervisor) -> Iterator[None]:
-    """The first Ctrl-C or SIGTERM stops the run cleanly, the second at once."""
+    """The first Ctrl-C, SIGTERM or hang-up of the terminal stops the run cleanly, the second at once."""
 
     def stop(number: int, frame: Any) -> None:
         signal.signal(number, signal.default_int_handler)
         one.stop()
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # nohup
+    numbers = [signal.SIGINT, signal.SIGTERM, *([] if ignored else [signal.SIGHUP])]
+    before = {number: signal.signal(number, stop) for number in numbers}
     try:
         yield
     except KeyboardInterrupt:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fls_flow.cli.common import JSON, screen
-from fls_flow.errors import RunError
+from fls_flow.errors import RunError, UserError
 
 if TYPE_CHECKING:
     import zenoh
@@ -18,13 +18,15 @@ if TYPE_CHECKING:
 __all__ = ["top"]
 
 ANSWER_S = 1.0
+CONNECT_S = 3
 LOOKS = 5
 
 
 @click.command()
 @click.argument("run", required=False)
 @click.option("--connect", metavar="ENDPOINT", help="Ask a run on another machine, e.g. tcp/10.0.0.1:7447.")
-@click.option("--every", default=1.0, show_default=True, help="Seconds between two looks.")
+@click.option("--every", type=click.FloatRange(min=0.05), default=1.0, show_default=True,
+              help="Seconds between two looks.")  # fmt: skip
 @click.option("--once", is_flag=True, help="Look once and end.")
 @JSON
 def top(run: str | None, connect: str | None, every: float, once: bool, as_json: bool) -> None:
@@ -37,23 +39,29 @@ def top(run: str | None, connect: str | None, every: float, once: bool, as_json:
       fls-flow top --connect tcp/10.0.0.1:7447
     """
     from fls_flow import local_runs
+    from fls_flow.deploy import endpoints
     from fls_flow.runtime.worker import close_session, open_session
 
     endpoint, which = connect, f"{run}$*" if run else "*"
-    if endpoint is None:
+    if endpoint is not None:
+        try:
+            endpoints.parse(endpoint)
+        except ValueError as error:
+            raise UserError(f"--connect {endpoint}: {error}") from error
+    else:
         found = local_runs.find(run)
         endpoint, which = found.endpoint, found.run
     key = f"fls/*/{which}/@counters/*"
     settings = {
         "mode": "client",
         "connect/endpoints": [endpoint],
-        "connect/timeout_ms": 3000,
+        "connect/timeout_ms": CONNECT_S * 1000,
         "scouting/multicast/enabled": False,
     }
     try:
         session = open_session(settings)
     except Exception as error:
-        raise RunError(f"{endpoint}: cannot be reached ({error}); is the run still there?") from error
+        raise RunError(f"{endpoint}: nobody answers there within {CONNECT_S} s; is the run on?") from error
     try:
         _show(session, key, every, once=once, as_json=as_json)
     except KeyboardInterrupt:

@@ -49,6 +49,9 @@ MARKS: dict[Kind, str] = {
 }
 
 
+SEPARATORS = (";", "\t", "|")  # of programs that mean something else by CSV
+
+
 @dataclass(frozen=True, eq=False)
 class Table:
     """One file: its pings in order of time, and its entries in order of ping."""
@@ -69,8 +72,13 @@ def kind_of(path: Path) -> Kind | None:
 
     Raises UserError when it cannot be read.
     """
-    with Reader(path).opened() as file:
-        header = {name.strip() for name in next(csv.reader(file), [])}
+    reader = Reader(path)
+    with reader.opened() as file:
+        names = next(csv.reader(file), [])
+    for separator in SEPARATORS if len(names) == 1 else ():
+        if set(names[0].split(separator)) & set(MARKS.values()):
+            reader.fault(1, f"its columns are separated by {separator!r}; save it with commas")
+    header = {name.strip() for name in names}
     if "track_id" in header and not header & {"x_m", "y_m", "status"}:
         return None  # what else is known of tracks, as a table of features
     return next((kind for kind, mark in MARKS.items() if mark in header), None)

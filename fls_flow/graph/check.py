@@ -6,7 +6,7 @@ from fls_flow.catalog import Catalog
 from fls_flow.errors import GraphError, Problem
 from fls_flow.graph.check_nodes import check_files, check_kind, check_on_error, check_parameters
 from fls_flow.graph.check_whole import check_ends, find_clock, find_order
-from fls_flow.graph.check_wires import check_wires
+from fls_flow.graph.check_wires import check_references, check_wires
 from fls_flow.graph.findings import Findings
 from fls_flow.graph.model import Graph, Node
 from fls_flow.graph.read import Source
@@ -26,6 +26,8 @@ def checked(source: Source, catalog: Catalog, *, sinkless: bool = False) -> Grap
     for draft in source.drafts.values():
         if draft.name in found.kinds:
             check_wires(found, draft, found.kinds[draft.name])
+        else:
+            check_references(found, draft)
     if not sinkless:
         check_ends(found)
     for name, kind in found.kinds.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os.path
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from fls_flow.graph.findings import Findings
 from fls_flow.graph.read import Draft
 
 __all__ = ["check_files", "check_kind", "check_on_error", "check_parameters"]
+
+OWN_FILES = ("run.json", "run.log")  # of every run's folder
 
 
 def check_kind(found: Findings, draft: Draft) -> None:
@@ -30,7 +33,10 @@ def check_kind(found: Findings, draft: Draft) -> None:
             kind = found.catalog.load(draft.use.data)
         except PluginError as error:
             found.problem(draft.use.where, f"node '{draft.name}': {error}")
-            return
+            meant = found.catalog.meant(draft.use.data)
+            if meant is None:
+                return
+            kind = meant  # its other mistakes can be told at once
         decided = _decided(found, draft, kind) if kind.undecided else kind
         if decided is not None:
             found.kinds[draft.name] = decided
@@ -42,7 +48,7 @@ def _decided(found: Findings, draft: Draft, kind: Kind) -> Kind | None:
     given = {
         name: value for name, value in draft.given.items() if name in known or name not in draft.inherited
     }
-    result = parameters.check(kind, given, draft.name, draft.where)
+    result = parameters.check(kind, given, draft.name, draft.where, found.models)
     found.source.problems.extend(result.problems)
     if result.problems or "with" in draft.faulty:
         return None
@@ -50,7 +56,10 @@ def _decided(found: Findings, draft: Draft, kind: Kind) -> Kind | None:
         return kind.decided(kind.cls(**result.arguments))
     except FlsFlowError as error:
         found.problem(draft.where, f"node '{draft.name}': {error}")
-        return None
+    except (Exception, SystemExit) as error:
+        cause = " ".join(f"{type(error).__name__}: {error}".split())
+        found.problem(draft.where, f"node '{draft.name}': output_type() raised {cause}")
+    return None
 
 
 def check_parameters(found: Findings, draft: Draft, kind: Kind) -> None:
@@ -63,7 +72,7 @@ def check_parameters(found: Findings, draft: Draft, kind: Kind) -> None:
         found.note(f"node '{draft.name}': parameter '{name}' falls away; '{kind.name}' has none")
         del given[name]
     try:
-        result = parameters.check(kind, given, draft.name, draft.where)
+        result = parameters.check(kind, given, draft.name, draft.where, found.models)
     except PluginError as error:
         found.problem(draft.where, f"node '{draft.name}': {error}")
         return
@@ -111,12 +120,22 @@ def check_files(found: Findings) -> None:
             if not isinstance(value, Path):
                 continue
             value = Path(os.path.normpath(value))
-            if value.parts[:1] == ("..",):
-                what = f"node '{name}' writes '{value}', which lies outside the run's folder; leave out '..'"
-                found.problem(found.source.drafts[name].where, what)
-            if value in seen:
-                what = (
-                    f"node '{name}' writes '{value}', and so does node '{seen[value]}'; give one another path"
-                )
-                found.problem(found.source.drafts[name].where, what)
+            reason = _unwritable(value, seen)
+            if reason is not None:
+                found.problem(found.source.drafts[name].where, f"node '{name}' writes '{value}', {reason}")
             seen.setdefault(value, name)
+
+
+def _unwritable(path: Path, seen: Mapping[Path, str]) -> str | None:
+    """What keeps a sink from writing `path`, given who writes which path already."""
+    if path.parts[:1] == ("..",):
+        return "which lies outside the run's folder; leave out '..'"
+    if str(path) in OWN_FILES:
+        return f"which is the run's own; give it another path than {' and '.join(OWN_FILES)}"
+    if path in seen:
+        return f"and so does node '{seen[path]}'; give one another path"
+    for other, name in seen.items():
+        folder = min(path, other, key=lambda one: len(one.parts))
+        if folder.suffix and folder in (*path.parents, *other.parents):  # without a suffix it may be a folder
+            return f"and node '{name}' writes '{other}'; '{folder}' cannot be a file and a folder"
+    return None

@@ -11,7 +11,7 @@ from fls_flow.graph.model import Input, Mode
 from fls_flow.graph.read import Draft, giver
 from fls_flow.messages import Message
 
-__all__ = ["check_wires", "fits"]
+__all__ = ["check_references", "check_wires", "fits"]
 
 
 def check_wires(found: Findings, draft: Draft, kind: Kind) -> None:
@@ -38,6 +38,17 @@ def check_wires(found: Findings, draft: Draft, kind: Kind) -> None:
     if certain and not kind.source and not any(wire.mode == "now" for wire in wires):
         what = f"node '{draft.name}' has no plain input, so nothing tells it when to fire; wire one without @"
         found.problem(draft.where, what)
+
+
+def check_references(found: Findings, draft: Draft) -> None:
+    """Say which wires of a node without a known kind name a node or an output that is not there."""
+    for port, value in draft.wires.items():
+        parsed = _reference(found, draft.name, port, value)
+        giver_kind = found.kinds.get(parsed[0]) if parsed is not None else None
+        if parsed is None or giver_kind is None or not parsed[1]:
+            continue
+        if giver_kind.output(parsed[1]) is None:
+            _no_output(found, f"node '{draft.name}': input '{port}'", value, parsed[0], parsed[1])
 
 
 def _meant(found: Findings, draft: Draft, port: InPort) -> bool:
@@ -105,17 +116,27 @@ def _output(found: Findings, blame: str, port: InPort, value: Value, name: str, 
     fitting = [one.name for one in outputs if fits(one.message, port.message)]
     if output in fitting or (not output and len(fitting) == 1):
         return output or fitting[0]
-    gives = ", ".join(f"{one.name} ({one.message.__name__})" for one in outputs) or "nothing"
     if not output:
         which = "several outputs that fit, name one" if fitting else "no output that fits"
-        found.problem(value.where, f"{blame}; node '{name}' has {which}: it gives {gives}")
+        found.problem(
+            value.where, f"{blame}; node '{name}' has {which}: it gives {_gives(found.kinds[name])}"
+        )
     elif (given := found.kinds[name].output(output)) is None:
-        near = suggest(output, [one.name for one in outputs]) or f"; it gives {gives}"
-        found.problem(value.where, f"{blame}; node '{name}' has no output '{output}'{near}")
+        _no_output(found, blame, value, name, output)
     else:
         hint = f"; '{name}.{fitting[0]}' fits" if fitting else ""
         found.problem(value.where, f"{blame}, but '{name}.{output}' gives {given.message.__name__}{hint}")
     return None
+
+
+def _no_output(found: Findings, blame: str, value: Value, name: str, output: str) -> None:
+    kind = found.kinds[name]
+    near = suggest(output, [one.name for one in kind.outputs]) or f"; it gives {_gives(kind)}"
+    found.problem(value.where, f"{blame}; node '{name}' has no output '{output}'{near}")
+
+
+def _gives(kind: Kind) -> str:
+    return ", ".join(f"{one.name} ({one.message.__name__})" for one in kind.outputs) or "nothing"
 
 
 def _mode_problem(port: InPort, mode: Mode, name: str, giver: Kind) -> str | None:

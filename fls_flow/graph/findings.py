@@ -9,6 +9,7 @@ from fls_flow.catalog import Catalog, InPort, Kind
 from fls_flow.errors import Problem
 from fls_flow.graph.model import Input
 from fls_flow.graph.read import Source
+from fls_flow.parameters import Models
 
 __all__ = ["Findings"]
 
@@ -23,6 +24,7 @@ class Findings:
     wires: dict[str, list[Input]] = field(default_factory=dict)
     arguments: dict[str, dict[str, Any]] = field(default_factory=dict)
     unwired: list[InPort] = field(default_factory=list)  # whose giver is unknown
+    models: Models = field(default_factory=dict)
     places: dict[tuple[str, str], str] = field(default_factory=dict)  # (node, port) -> where its wire stands
 
     def problem(self, where: str, what: str) -> None:

@@ -110,7 +110,11 @@ class Door:
                     return
                 with self._lock:
                     self._lines.add(line)
-                threading.Thread(target=self._read, args=(line,), name="line", daemon=True).start()
+                try:
+                    threading.Thread(target=self._read, args=(line,), name="line", daemon=True).start()
+                except RuntimeError as error:  # the limits of the process leave no room for a thread
+                    self._failed(LinkError(f"{self._path}: {error}"))
+                    line.close()
 
     def _read(self, line: socket.socket) -> None:
         try:

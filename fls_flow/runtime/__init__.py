@@ -2,7 +2,7 @@
 
 from fls_flow.runtime.folder import RunFolder, describe
 from fls_flow.runtime.run import Run
-from fls_flow.runtime.terms import Options, Pace, Report, Share, finished_pings, holders, pace_of
+from fls_flow.runtime.terms import Options, Pace, Report, Share, finished_pings, holders, pace_of, pings_of
 
 __all__ = [
     "Options",
@@ -15,4 +15,5 @@ __all__ = [
     "finished_pings",
     "holders",
     "pace_of",
+    "pings_of",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime
 import importlib.metadata
@@ -32,17 +33,20 @@ class RunFolder:
 
         Raises UserError when it belongs to another run or cannot be made.
         """
-        if path is None:
-            path = _unused(Path("runs") / graph.name)
         try:
+            if path is None:
+                return cls(_unused(Path("runs") / graph.name))
             path.mkdir(parents=True, exist_ok=True)
             (path / "run.json").open("x").close()
         except FileExistsError as error:
+            if path is None:
+                raise UserError(f"{error.filename}: is a file where a folder is needed") from error
             if not path.is_dir():
                 raise UserError(f"--out {path}: is a file; name a folder") from error
             raise UserError(f"--out {path}: holds another run; name a new folder") from error
         except OSError as error:
-            raise UserError(f"--out {path}: cannot be made: {error.strerror}") from error
+            what = f"--out {path}" if path is not None else error.filename
+            raise UserError(f"{what}: cannot be made: {error.strerror}") from error
         return cls(path)
 
     def occupied(self, graph: Graph) -> list[Path]:
@@ -87,14 +91,26 @@ class _QuietFile(logging.FileHandler):
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 -- logging's name
         """Say nothing: what was to be logged is shown on the terminal too."""
 
+    def close(self) -> None:
+        """Close the file; what of it finds no room is let go."""
+        with contextlib.suppress(OSError):
+            super().close()
+
 
 def _unused(folder: Path) -> Path:
+    """A new folder named by the time, with an empty `run.json`; runs that begin at once get one each."""
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
+    folder.mkdir(parents=True, exist_ok=True)
     path, n = folder / now, 1
-    while path.exists():
-        n += 1
-        path = folder / f"{now}-{n}"
-    return path
+    while True:
+        try:
+            path.mkdir()
+        except FileExistsError:
+            n += 1
+            path = folder / f"{now}-{n}"
+        else:
+            (path / "run.json").open("x").close()
+            return path
 
 
 def _plain(value: Any) -> Any:

@@ -6,7 +6,7 @@ import logging
 import time
 from array import array
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,8 +16,10 @@ from fls_flow.links import Delivery, End, Item, Link, Sample, SamplesEnd
 from fls_flow.messages import Message
 from fls_flow.observe import NodeCounts
 from fls_flow.runtime import answer
+from fls_flow.runtime.calls import cause_of, not_ctrl_c
+from fls_flow.runtime.position import Position
 
-__all__ = ["NodeHost", "StreamInput", "cause_of", "made", "source_outputs"]
+__all__ = ["NodeHost", "StreamInput"]
 
 log = logging.getLogger(__name__)
 
@@ -78,6 +80,7 @@ class NodeHost:
         self.index = 0
         self.last: int | None = None
         self.done = False
+        self.position: Position = [0, 0]  # pings begun, pings done
         self.firing_since: float | None = None  # while the node is at work
         self.samples_taken: dict[str, array[int]] = {}  # by port, for each ping of a live run
         self._repeat = repeat or {}
@@ -180,15 +183,18 @@ class NodeHost:
         return samples
 
     def _fire(self) -> None:
+        self.position[0] = self.index + 1
         inputs = self._inputs()
         ping = inputs[self._plain[0]]
-        before = self.instance.snapshot() if self._keeps_state else None
+        before: dict[str, Any] | None = None
         self.firing_since = time.monotonic()
         started = time.perf_counter()
         try:
+            before = self.instance.snapshot() if self._keeps_state else None
             outputs = answer.named(self.node.kind, self.instance(**inputs))
             answer.same_ping(outputs.values(), ping.seq, ping.stamp_ns)
-        except (Exception, SystemExit) as error:
+        except BaseException as error:  # whatever it is, the run must end, not hang
+            not_ctrl_c(error)
             outputs = self._failed(error, ping, before)
         self.counts.timed(time.perf_counter() - started)
         self.firing_since = None
@@ -198,6 +204,7 @@ class NodeHost:
         if self._holds_window:
             self.link.finished(self.node.name, self.index)
         self.index += 1
+        self.position[1] = self.index
         self._complete_at = None
 
     def _inputs(self) -> dict[str, Any]:
@@ -228,31 +235,3 @@ class NodeHost:
         if before is not None:
             self.instance.restore(before)
         return answer.empty(self.node.kind, ping.seq, ping.stamp_ns)
-
-
-def cause_of(error: BaseException) -> str:
-    """An exception on one line."""
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
-
-
-def source_outputs(node: Node, produced: Any, index: int) -> dict[str, Message]:
-    """What a source has made, checked: all its ports fire together, for one ping.
-
-    Raises NodeError.
-    """
-    try:
-        outputs = answer.named(node.kind, produced)
-        first = next(iter(outputs.values()))
-        answer.same_ping(outputs.values(), first.seq, first.stamp_ns)
-    except answer.AnswerError as error:
-        raise NodeError(node.name, index, None, str(error)) from error
-    return outputs
-
-
-def made(node: Node, iterator: Iterator[Any], index: int) -> Any | None:
-    """What the source makes next, None at its end; raises NodeError with the cause."""
-    try:
-        return next(iterator, None)
-    except (Exception, SystemExit) as error:
-        raise NodeError(node.name, index, None, cause_of(error)) from error

@@ -15,9 +15,10 @@ from fls_flow.graph import Graph, Node
 from fls_flow.links import Link
 from fls_flow.links.memory import MemoryLink, Tap
 from fls_flow.parameters import resolve
-from fls_flow.runtime.node import NodeHost, cause_of
+from fls_flow.runtime.calls import closed
+from fls_flow.runtime.node import NodeHost
 from fls_flow.runtime.source import ClockHost, StreamHost
-from fls_flow.runtime.terms import Options, Report, Share, finished_pings, holders, pace_of
+from fls_flow.runtime.terms import Options, Report, Share, finished_pings, holders, pace_of, pings_of
 from fls_flow.runtime.threads import limit_this_thread, limited_threads
 
 __all__ = ["Run"]
@@ -70,14 +71,16 @@ class Run:
                 self._first = time.monotonic()
             on_finished(pings)
 
+        self._on_end: Callable[[int], None] = _ignore if share else on_finished
         self._hosts = self._make_hosts(here, pace.live, finished)
+        for host in self._hosts:
+            host.position = share.positions.get(host.node.name, host.position) if share else host.position
         self._clock = next((host for host in self._hosts if isinstance(host, ClockHost)), None)
 
     @property
     def total(self) -> int | None:
         """How many pings the clock says will come; None when it does not know."""
-        clock = self._instances[self.graph.clock]
-        return len(clock) if hasattr(clock, "__len__") else None
+        return pings_of(self._instances[self.graph.clock])
 
     def start(self) -> Report:
         """Run to the end and close every node; never raises what a node raised, but reports it."""
@@ -94,11 +97,14 @@ class Run:
         status: Literal["finished", "interrupted", "failed"] = (
             "interrupted" if self._interrupted else "finished"
         )
+        counts = {host.node.name: host.counts for host in self._hosts}
+        pings = finished_pings(self.graph, counts)
+        self._on_end(pings)  # the clock has not waited for the last to be finished
         return Report(
             "failed" if self._error else status,
-            finished_pings(self.graph, {host.node.name: host.counts for host in self._hosts}),
+            pings,
             time.monotonic() - began,
-            {host.node.name: host.counts for host in self._hosts},
+            counts,
             {
                 host.node.name: {port: list(taken) for port, taken in host.samples_taken.items()}
                 for host in self._hosts
@@ -277,23 +283,16 @@ class Run:
             if host.node.name in self._stuck:
                 log.error("node '%s' did not end in time; its files may lack the last pings", host.node.name)
                 continue
-            try:
-                getattr(host.instance, "close", _nothing)()
-            except (Exception, SystemExit) as error:
-                cause = f"while closing: {cause_of(error)}"
-                failure = NodeError(host.node.name, None, None, cause)
-                log.error("%s", failure, exc_info=error)
+            failure = closed(host.node, host.instance, self.options.deadline_s)
+            if failure is not None:
+                log.error("%s", failure, exc_info=failure.__cause__)
                 self._error = self._error or failure
             if not isinstance(host, NodeHost):
                 host.join(1.0)
 
 
-def _nothing() -> None:
-    """The `close` of a node that has none."""
-
-
-def _ignore(error: FlsFlowError) -> None:
-    """Nobody else wants to know of a failure."""
+def _ignore(news: object) -> None:
+    """Nobody else wants to know."""
 
 
 def _made(nodes: Iterable[Node], out: Path, instances: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,8 @@ from fls_flow.graph import Node
 from fls_flow.links import ClockEnd, Finished, Inbox, Item, Link, Started, Wake
 from fls_flow.messages import Message
 from fls_flow.observe import NodeCounts
-from fls_flow.runtime.node import made, source_outputs
+from fls_flow.runtime.calls import abandoned, iterated, made, source_outputs
+from fls_flow.runtime.position import Position
 
 __all__ = ["ClockHost", "Feed", "StreamHost"]
 
@@ -73,20 +74,13 @@ class Feed:
                     self.shed += len(self._waiting) == self._waiting.maxlen
                     self._waiting.append(produced)
                 self._inbox.post(Wake())
+            abandoned(self._node, self._iterator, index)
         except Exception as error:
             self.error = error
         finally:
-            _close(self._iterator)
             with self._lock:
                 self._ended = True
             self._inbox.post(Wake())
-
-
-def _close(iterator: Iterator[Any]) -> None:
-    """End a generator, so that what it holds open is closed."""
-    close = getattr(iterator, "close", None)
-    if close is not None:
-        close()
 
 
 class _Pace:
@@ -117,6 +111,7 @@ class _SourceHost:
         self.counts = NodeCounts()
         self.index = 0
         self.done = False
+        self.position: Position = [0, 0]  # pings begun, pings done
         self._iterator: Iterator[Any] | None = None
         self._feed: Feed | None = None
 
@@ -126,7 +121,7 @@ class _SourceHost:
 
     def _iterate(self) -> Iterator[Any]:
         if self._iterator is None:
-            self._iterator = iter(self.instance())
+            self._iterator = iterated(self.node, self.instance)
         return self._iterator
 
     def _next(self) -> dict[str, Message] | None:
@@ -157,13 +152,18 @@ class _SourceHost:
         return self._feed.empty
 
     def finish(self) -> None:
-        """Tell the others that nothing more comes."""
+        """Tell the others that nothing more comes; raises NodeError when the source cannot be closed."""
+        if self.done:
+            return
         self.done = True
+        self._tell_end()
         if self._feed is not None:
             self._feed.stop()
             self._count_shed(self._feed.shed)
         elif self._iterator is not None:
-            _close(self._iterator)
+            abandoned(self.node, self._iterator, self.index)
+
+    def _tell_end(self) -> None:
         self.link.end(self.node.name, self.index - 1)
 
     def join(self, timeout_s: float) -> None:
@@ -210,8 +210,10 @@ class ClockHost(_SourceHost):
             self._feed = Feed(self.node, self._iterate(), self.inbox, places=1, rate=rate)
         if self.index - self._window > min(self._finished.values(), default=self.index):
             return False
+        self.position[0] = self.index + 1
         outputs = self._next()
         if outputs is None:
+            self.position[0] = self.index
             if self._exhausted():
                 self.finish()
             return False
@@ -219,6 +221,7 @@ class ClockHost(_SourceHost):
         for port, message in outputs.items():
             self.link.send(self.node.name, port, self.index, message)
         self.index += 1
+        self.position[1] = self.index
         return True
 
     def stop(self) -> None:
@@ -226,9 +229,8 @@ class ClockHost(_SourceHost):
         self.stopping.set()
         self.inbox.post(Wake())
 
-    def finish(self) -> None:
-        """Tell nodes and streams that this was the last ping."""
-        super().finish()
+    def _tell_end(self) -> None:
+        super()._tell_end()
         self.link.clock_end()
 
 

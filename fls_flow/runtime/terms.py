@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -11,8 +12,11 @@ from fls_flow.errors import FlsFlowError
 from fls_flow.graph import Graph
 from fls_flow.links import Link
 from fls_flow.observe import NodeCounts
+from fls_flow.runtime.position import Position
 
-__all__ = ["Options", "Pace", "Report", "Share", "finished_pings", "holders", "pace_of"]
+__all__ = ["Options", "Pace", "Report", "Share", "finished_pings", "holders", "pace_of", "pings_of"]
+
+log = logging.getLogger(__name__)
 
 SLOWEST_RATE, FASTEST_RATE = 1e-3, 1e6
 
@@ -63,6 +67,7 @@ class Share:
     on_failed: Callable[[FlsFlowError], None]
     holders: tuple[str, ...]  # the nodes that hold the window
     free: frozenset[str] = frozenset()  # the sinks that may lose pings
+    positions: Mapping[str, Position] = field(default_factory=dict)  # where each node says how far it is
 
 
 @dataclass
@@ -105,6 +110,15 @@ def holders(graph: Graph) -> tuple[str, ...]:
 def finished_pings(graph: Graph, counts: Mapping[str, NodeCounts]) -> int:
     """How many pings went all the way through, as far as the holders among these nodes know."""
     return min((counts[name].fired for name in holders(graph) if name in counts), default=0)
+
+
+def pings_of(clock: Any) -> int | None:
+    """How many pings a source says will come; None when it does not know."""
+    try:
+        return len(clock) if hasattr(clock, "__len__") else None
+    except Exception as error:  # only the progress bar needs it
+        log.warning("%s.__len__ raised %s: %s", type(clock).__name__, type(error).__name__, error)
+        return None
 
 
 def pace_of(options: Options, clock: Any) -> Pace:

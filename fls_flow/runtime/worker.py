@@ -18,14 +18,16 @@ from fls_flow.errors import FlsFlowError
 from fls_flow.graph import Graph
 from fls_flow.links.placement import Placement
 from fls_flow.links.zenoh import ZenohLink
+from fls_flow.runtime import position
 from fls_flow.runtime.live import LiveState
 from fls_flow.runtime.run import Run
 from fls_flow.runtime.terms import Options, Pace, Share
 
-__all__ = ["Assignment", "close_session", "open_session", "placement_of", "serve"]
+__all__ = ["HUB", "Assignment", "close_session", "open_session", "placement_of", "serve"]
 
 log = logging.getLogger(__name__)
 
+HUB = "the.hub"  # where the supervisor listens: no process has a name with a dot
 BEAT_S = 0.5
 FLUSH_S = 30.0  # how long the last messages of a run may take to arrive
 SPAWN_POLL_S = 0.005
@@ -54,6 +56,10 @@ class Assignment:
     def arenas(self) -> str:
         """What the names of the run's shared memory on this host begin with."""
         return f"fls-{self.run}-{self.host}-"
+
+    def positions(self, name: str) -> Path:
+        """The file in which the process `name` of this host keeps how far its nodes are."""
+        return Path(self.sockets) / f"{name}.at"
 
     def endpoint(self, name: str) -> str:
         """Where the process `name` of this host listens."""
@@ -120,7 +126,7 @@ class _Worker:
         groups = [one.name for one in deployment.groups(assignment.host)]
         earlier = groups[: groups.index(group.name)]
         listen = [assignment.endpoint(group.name)]
-        connect = [assignment.endpoint(name) for name in ("hub", *earlier)]
+        connect = [assignment.endpoint(name) for name in (HUB, *earlier)]
         self._connect_s = deployment.connect_timeout_s
         self._session = open_session(
             deployment.worker_config(assignment.host, listen=listen, connect=connect)
@@ -144,6 +150,7 @@ class _Worker:
             self._failed,
             placement.holders,
             placement.free,
+            position.kept(assignment.positions(group.name), group.nodes),
         )
         options = Options(window=assignment.pace.window, threads=group.threads, **assignment.options)
         out = Path(assignment.out)
@@ -197,7 +204,7 @@ class _Worker:
     def _beat(self) -> None:
         while not self._bye.wait(BEAT_S):
             self._live.beat()
-            self._channel.send("beat", pings=self._pings, fired=self._run.fired())
+            self._channel.send("beat")
 
     def _count(self, pings: int) -> None:
         self._pings = pings

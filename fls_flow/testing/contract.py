@@ -27,9 +27,10 @@ def check_node(node: Any, firings: Sequence[Mapping[str, Any]] | None = None) ->
     `firings` are its inputs ping by ping, as keyword arguments; by default small made-up ones, empty messages
     among them. Checked: every ping is answered with the promised types, seq and stamp; inputs are not
     written; a second instance gives the same bits; neither answers nor state follow the memory of the inputs,
-    which is overwritten after each firing, as a shared slot is reused; `snapshot()` and `restore()` carry on
-    with the same bits. A source is checked on its first pings, a live one on its ports alone, since what it
-    gives is not its own; a sink writes into a folder that is removed.
+    which is overwritten after each firing, as a shared slot is reused; `snapshot()` gives arrays and plain
+    values, and `restore()` carries on with the same bits, as often as it is called. A source is checked on
+    its first pings, a live one on its ports alone, since what it gives is not its own; a sink writes into a
+    folder that is removed.
     """
     instance, kind = _instance(node)
     with TemporaryDirectory() as folder:
@@ -158,9 +159,30 @@ def _check_restore(fresh: _Fresh, kind: Kind, firings: Sequence[Mapping[str, Any
     assert isinstance(state, dict), f"snapshot() gives {type(state).__name__}; it gives a dict"
     for inputs in firings[half:]:
         before(**inputs)  # a snapshot must not follow the node that it was taken from
+    _check_plain(state, "snapshot()")
     after.restore(state)
     carried = _fired(after, kind, firings[half:])
     _same(carried, whole[half:], "after snapshot() and restore() the bits differ: some state is missing")
+    again = fresh()
+    again.restore(state)  # a stored snapshot may be needed twice
+    repeated = _fired(again, kind, firings[half:])
+    _same(carried, repeated, "a second restore() of one snapshot gives other bits: restore() must copy it")
+
+
+def _check_plain(value: Any, where: str) -> None:
+    """A snapshot is stored and carried between processes: arrays and plain values alone."""
+    if isinstance(value, dict):
+        for key, one in value.items():
+            assert isinstance(key, str), f"{where} has the key {key!r}; its keys are text"
+            _check_plain(one, f"{where}[{key!r}]")
+    elif isinstance(value, list | tuple):
+        for number, one in enumerate(value):
+            _check_plain(one, f"{where}[{number}]")
+    elif isinstance(value, np.ndarray):
+        assert not value.dtype.hasobject, f"{where} is an array of objects; give numbers"
+    else:
+        plain = value is None or isinstance(value, bool | int | float | complex | str | bytes | np.generic)
+        assert plain, f"{where} is a {type(value).__name__}; give arrays and plain values"
 
 
 def _check_source(fresh: _Fresh, kind: Kind, pings: int = 5) -> None:

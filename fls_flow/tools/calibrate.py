@@ -37,6 +37,7 @@ __all__ = ["Calibration", "Point", "calibratable", "calibrate"]
 
 FloatArray = npt.NDArray[np.float64]
 
+ABLE = "threshold_ratio() and the parameters pfa and threshold_scale"
 BLOCKS = 10  # of pings, in each half
 FARTHEST = 1000.0  # a tail fit reaches down to this part of what is measurable
 
@@ -77,7 +78,9 @@ def calibratable(graph: Graph, name: str | None = None) -> Node:
     able = [node for node in graph.nodes if _is_able(node)]
     known = ", ".join(node.name for node in able) or "none"
     if name is None:
-        if len(able) != 1:
+        if not able:
+            raise UserError(f"graph '{graph.name}' has no detector that can be calibrated, with {ABLE}")
+        if len(able) > 1:
             raise UserError(f"--node: the graph has {len(able)} detectors to calibrate ({known}); name one")
         return able[0]
     found = next((node for node in graph.nodes if node.name == name), None)
@@ -85,8 +88,7 @@ def calibratable(graph: Graph, name: str | None = None) -> Node:
         raise UserError(f"--node {name}: the graph has no such node; it can calibrate {known}")
     if found not in able:
         raise UserError(
-            f"--node {name}: kind '{found.kind.name}' has no threshold_ratio() with the parameters pfa and "
-            f"threshold_scale; the graph can calibrate {known}"
+            f"--node {name}: kind '{found.kind.name}' lacks {ABLE}; the graph can calibrate {known}"
         )
     return found
 

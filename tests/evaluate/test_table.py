@@ -247,3 +247,15 @@ def test_a_table_of_features_is_none_of_the_four(write):
     assert (
         kind_of(write("t.csv", "seq,stamp_ns,track_id,y_m")) == "tracks"
     )  # one that lacks x_m, as read() says
+
+
+@pytest.mark.parametrize("separator", [";", "\t", "|"])
+def test_another_separator_than_the_comma_is_named(write, separator):
+    path = write("tracks.csv", TRACKS.replace(",", separator), "0,0,1".replace(",", separator))
+    with pytest.raises(UserError, match="columns are separated by") as raised:
+        kind_of(path)
+    assert str(raised.value) == f"{path}:1: its columns are separated by {separator!r}; save it with commas"
+
+
+def test_another_table_with_such_a_separator_is_none_of_ours(write):
+    assert kind_of(write("prices.csv", "name;price", "sonar;1")) is None

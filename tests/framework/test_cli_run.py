@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
 import os
+import resource
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+
+from fls_flow.errors import UserError
+from fls_flow.graph import load
+from fls_flow.runtime import RunFolder
 
 FLS_FLOW = [sys.executable, "-m", "fls_flow.cli"]
 QUICK = ("--set", "sonar.pings=6")
@@ -143,6 +150,10 @@ def test_in_order_gives_the_same_bytes(command, tmp_path):
         (["run", "surface_obstacle", "--window", "0"], "0 is not in the range"),
         (["run"], "Missing argument 'GRAPH'"),
         (["rum"], "No such command 'rum'"),
+        (["run", "--window"], "error: Option '--window' requires an argument; see fls-flow"),
+        (["--nosuch"], "error: No such option"),
+        (["top", "--connect", "nonsense"], "error: --connect nonsense: write PROTOCOL/HOST:PORT"),
+        (["top", "--every", "0"], "0.0 is not in the range"),
         (["run", "surface_obstacle", "--repeat", "none.json"], "is no run.json of a run that ended"),
     ],
 )
@@ -150,7 +161,7 @@ def test_a_mistake_is_one_line_and_exit_2(command, words, line):
     done = command(*words)
     assert done.returncode == 2
     assert line in done.stderr
-    assert "Traceback" not in done.stderr
+    assert [text[:7] for text in done.stderr.splitlines()] == ["error: "]
 
 
 FAILS = """
@@ -201,6 +212,65 @@ def test_a_full_output_is_one_line(tmp_path):
         )
     assert done.returncode == 1
     assert done.stderr.splitlines() == ["error: output: No space left on device"]
+
+
+def test_a_full_disk_is_told_by_who_met_it(command, tmp_path):
+    limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))  # noqa: E731 -- of any file
+    (tmp_path / "rec.yaml").write_text(
+        "graph: rec\nnodes:\n  sonar: {use: surface-scene, with: {pings: 40}}\n"
+        "  out: {use: mcap, in: {ping: sonar.ping}}\n"
+    )
+    done = command("run", "rec.yaml", "--in-process", "--out", "o", preexec_fn=limit)
+    assert done.returncode == 1
+    errors = [line for line in done.stderr.splitlines() if line.startswith("error:")]
+    assert len(errors) == 1
+    assert "node 'out' failed" in errors[0]
+    assert "File too large" in errors[0]
+
+
+def test_the_log_of_a_full_disk_hides_no_error(tmp_path, monkeypatch):
+    folder = RunFolder.create(load("surface_obstacle"), tmp_path / "o")
+    (tmp_path / "o" / "run.log").symlink_to("/dev/full")
+
+    def fail() -> None:
+        logging.getLogger("fls_flow").error("this finds no room")
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError), folder.logging():
+        fail()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"samples_taken": 5}', '{"samples_taken": {"a": [1]}}', '{"samples_taken": {"a": {"b": [null]}}}']
+)  # fmt: skip
+def test_what_cannot_be_repeated_is_refused(command, tmp_path, text):
+    (tmp_path / "run.json").write_text(text)
+    done = command("run", "surface_obstacle", "--in-process", *QUICK, "--repeat", "run.json")
+    assert done.returncode == 2
+    assert done.stderr == "error: --repeat run.json: is no run.json of a run that ended\n"
+
+
+def test_runs_that_begin_at_once_get_folders_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    graph = load("surface_obstacle")
+    with ThreadPoolExecutor(8) as pool:
+        folders = list(pool.map(lambda _: RunFolder.create(graph), range(40)))
+    assert len({folder.path for folder in folders}) == 40
+    assert all((folder.path / "run.json").is_file() for folder in folders)
+
+
+def test_what_stands_in_the_way_of_the_folder_is_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").write_text("mine")
+    with pytest.raises(UserError, match=r"runs.*: cannot be made: Not a directory"):
+        RunFolder.create(load("surface_obstacle"))
+
+
+def test_what_a_terminal_would_obey_is_written_out(command):
+    done = command("check", "a\x1b[31m\nb")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: a\\x1b[31m\\nb: no such graph file")
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_debug_shows_the_traceback(command, plugins):

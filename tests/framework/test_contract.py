@@ -175,6 +175,21 @@ class SnapshotFollows(Sound):
 
 
 @dataclass
+class RestoreKeeps(SnapshotFollows):
+    def snapshot(self) -> dict[str, Any]:
+        return {"seen": self.seen.copy()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.seen = state["seen"]
+
+
+@dataclass
+class SnapshotOfObjects(Remembers):
+    def snapshot(self) -> dict[str, Any]:
+        return {"tracks": [{"age": 1, "filter": Sound()}]}
+
+
+@dataclass
 class UnseededSource(Source):
     def __call__(self) -> Iterator[Ping]:
         yield Ping(0, 0, np.random.default_rng().random((2, 2), np.float32), np.arange(2.0), np.arange(2.0))
@@ -191,6 +206,11 @@ class UnseededSource(Source):
         (KeepsAView, "its state shares memory with an input"),
         (ForgetsState, "some state is missing"),
         (SnapshotFollows, "some state is missing"),
+        (RestoreKeeps, r"a second restore\(\) of one snapshot gives other bits"),
+        (
+            SnapshotOfObjects,
+            r"snapshot\(\)\['tracks'\]\[0\]\['filter'\] is a Sound; give arrays and plain values",
+        ),
         (UnseededSource, "a second iteration gives other bits"),
     ],
 )
@@ -217,3 +237,7 @@ def test_a_graph_runs_on_lists(tmp_path):
     assert found["s.ping"] == pings
     with pytest.raises(KeyError, match=r"d\.tracks: node 'd' gives detections"):
         run_graph(path, {"s": pings}, ["d.tracks"], catalog=catalog)
+    with pytest.raises(KeyError, match="graph 'g' has no node 'e'; it has s, d"):
+        run_graph(path, {"s": pings}, ["e.tracks"], catalog=catalog)
+    with pytest.raises(KeyError, match="inputs: 'd' is no source of graph 'g'; it has s"):
+        run_graph(path, {"d": pings}, ["d.detections"], catalog=catalog)

@@ -208,6 +208,7 @@ def test_a_good_graph_is_in_an_order_in_which_nobody_waits_in_vain(loaded: Loade
     [
         # kinds
         ("{use: cfra, in: {ping: sonar}}", "node 'cfar': unknown kind 'cfra'; did you mean 'cfar'?"),
+        ("{use: CFAR, in: {ping: sonar}}", "node 'cfar': unknown kind 'CFAR'; did you mean 'cfar'?"),
         ("{use: zzz, in: {ping: sonar}}", "node 'cfar': unknown kind 'zzz'; fls-flow plugins lists the installed ones"),
         ("{in: {ping: sonar}}", "node 'cfar' has no 'use'; name its kind"),
         ("{use: [cfar], in: {ping: sonar}}", "node 'cfar': 'use' is [\"cfar\"]; it names a kind"),
@@ -424,6 +425,62 @@ def test_a_dozen_mistakes_are_reported_at_once_in_the_order_of_the_file(mistakes
     ]  # fmt: skip
     found = mistakes(DOZEN)
     assert [line[: len(want)] for line, want in zip(found, expected, strict=True)] == expected
+
+
+def test_a_misspelt_kind_hides_no_other_mistake_of_its_node(mistakes: Mistakes) -> None:
+    wrong = "  cfar: {use: cfra, in: {pingg: sonar.ping}, with: {pfaa: 1.0e-3, mode: cel}}\n"
+    assert mistakes(HEAD + wrong + TAIL) == [
+        "4: node 'cfar': unknown kind 'cfra'; did you mean 'cfar'?",
+        "4: node 'cfar': kind 'cfar' has no input 'pingg'; did you mean 'ping'?",
+        "4: node 'cfar': parameter 'mode' is \"cel\"; it takes Literal['cell', 'order']; did you mean 'cell'?",
+        "4: node 'cfar': kind 'cfar' has no parameter 'pfaa'; did you mean 'pfa'?",
+    ]
+    assert mistakes(HEAD + CFAR + TAIL.replace("cfar", "cfar.detection").replace("use: tracker", "use: Trackr")) == [
+        "5: node 'tracker': unknown kind 'Trackr'; did you mean 'tracker'?",
+        "5: node 'tracker': input 'detections' takes Detections; node 'cfar' has no output 'detection'; "
+        "did you mean 'detections'?",
+    ]  # fmt: skip
+
+
+def test_of_a_kind_that_nobody_knows_the_wires_are_checked(mistakes: Mistakes) -> None:
+    wrong = "  cfar: {use: zzz, in: {a: sonra, b: sonar.pnig, c: 5, d: sonar, e: tracker@previous}, with: {x: 1}}\n"
+    assert mistakes(HEAD + wrong + TAIL) == [
+        "4: node 'cfar': unknown kind 'zzz'; fls-flow plugins lists the installed ones",
+        "4: node 'cfar': input 'a': the graph has no node 'sonra'; did you mean 'sonar'?",
+        "4: node 'cfar': input 'b'; node 'sonar' has no output 'pnig'; did you mean 'ping'?",
+        "4: node 'cfar': input 'c' is 5; write NODE or NODE.OUTPUT",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "complaint"),
+    [
+        ("run.json", "b", "'out' writes 'run.json', which is the run's own; give it another path"),
+        ("x/../run.log", "b", "'out' writes 'run.log', which is the run's own; give it another path"),
+        (
+            "a.csv",
+            "a.csv/b.csv",
+            "'a.csv/b.csv', and node 'out' writes 'a.csv'; 'a.csv' cannot be a file and",
+        ),
+        (
+            "a.csv/b.csv",
+            "a.csv",
+            "'a.csv', and node 'out' writes 'a.csv/b.csv'; 'a.csv' cannot be a file and",
+        ),
+    ],
+)
+def test_sinks_do_not_write_over_each_other_or_the_run(
+    one: str, other: str, complaint: str, mistakes: Mistakes
+) -> None:
+    two = f"  two: {{use: csv, in: {{tracks: tracker}}, with: {{path: {other}}}}}\n"
+    tail = TAIL.replace("tracks: tracker}}", f"tracks: tracker}}, with: {{path: {one}}}}}")
+    assert [line for line in mistakes(HEAD + CFAR + tail + two) if complaint in line]
+
+
+def test_two_sinks_may_share_a_folder(loaded: Loaded) -> None:
+    two = "  two: {use: csv, in: {tracks: tracker}, with: {path: all/b.csv}}\n"
+    tail = TAIL.replace("tracks: tracker}}", "tracks: tracker}, with: {path: all}}")  # which may be a folder
+    assert loaded(HEAD + CFAR + tail + two).sinks == ("out", "two")
 
 
 def test_block_style_points_at_the_line_of_the_key(mistakes: Mistakes) -> None:

@@ -16,6 +16,10 @@ from pathlib import Path
 import pytest
 
 from fls_flow import graph as graphs
+from fls_flow.errors import RunError
+from fls_flow.nursery import Nursery
+from fls_flow.runtime import Pace
+from fls_flow.runtime.worker import Assignment
 
 FLS_FLOW = [sys.executable, "-m", "fls_flow.cli"]
 ROOT = Path(__file__).parents[2]
@@ -288,6 +292,129 @@ def test_a_process_that_hangs_is_named(place, start):
     assert code == 1
     assert "process 'slow' with node 'slow'" in err
     assert "is silent for 3." in err
+
+
+FATED = """
+graph: fated
+nodes:
+  sonar: {use: acme-pings, with: {pings: 40}}
+  fated: {use: acme-fated, in: {ping: sonar}}
+  out: {use: detection-csv, in: {detections: fated}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("groups", "who"),
+    [
+        ("", "process 'fated' with node 'fated', at ping index 5,"),
+        ("[sonar, fated]", "process 'both' with nodes 'sonar', 'fated', node 'fated' at ping index 5,"),
+    ],
+)
+def test_of_a_process_that_dies_at_work_node_and_ping_are_named(place, start, groups, who):
+    (place / "fated.yaml").write_text(FATED)
+    (place / "d.yaml").write_text("deployment: d\n" + (f"processes: {{both: {groups}}}\n" if groups else ""))
+    code, _, err = ended(
+        start("fated.yaml", "--deploy", "d.yaml", "--out", "o", "--set", "fated.fate=die", "--window", "1")
+    )
+    assert code == 1
+    errors = [line for line in err.splitlines() if line.startswith("error:")]
+    assert errors == [f"error: {who} died (signal 9: SIGKILL)"]
+    assert [row["seq"] for row in rows(place / "o" / "detections.csv")] == [str(n) for n in range(5)]
+    counts = json.loads((place / "o" / "run.json").read_text())["counts"]
+    assert counts["fated"]["fired"] == 5
+
+
+def test_what_goes_wrong_while_closing_fails_the_run(place, start):
+    (place / "fated.yaml").write_text(FATED)
+    code, _, err = ended(start("fated.yaml", "--out", "o", "--set", "fated.fate=unclosable"))
+    assert code == 1
+    errors = [line for line in err.splitlines() if line.startswith("error:")]
+    assert errors == [
+        "error: node 'fated' failed: while closing: OSError: [Errno 28] No space left on device"
+    ]
+    assert len(rows(place / "o" / "detections.csv")) == 40
+
+
+def test_a_program_that_a_node_has_started_ends_with_the_run(place, start):
+    (place / "fated.yaml").write_text(FATED)
+    code, _, err = ended(start("fated.yaml", "--out", "o", "--set", "fated.fate=leave-program"))
+    assert code == 0, err
+
+
+def test_a_process_that_lets_go_of_everything_is_lost(place, start):
+    (place / "fated.yaml").write_text(FATED)
+    code, _, err = ended(start("fated.yaml", "--out", "o", "--set", "fated.fate=let-go"))
+    assert code == 1
+    errors = [line for line in err.splitlines() if line.startswith("error:")]
+    assert len(errors) == 1
+    assert errors[0].startswith("error: process 'fated' with node 'fated', at ping index 5, ")
+
+
+def test_no_name_of_a_node_is_taken(place, start):
+    names = {"sonar": "hub", "fated": "run", "out": "_"}
+    text = FATED
+    for old, new in names.items():
+        text = text.replace(f"  {old}:", f"  {new}:").replace(f": {old}}}", f": {new}}}")
+    (place / "fated.yaml").write_text(text)
+    code, _, err = ended(start("fated.yaml", "--out", "o"))
+    assert code == 0, err
+    assert len(rows(place / "o" / "detections.csv")) == 40
+
+
+def test_closed_standard_streams_are_no_obstacle(place, start):
+    within = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh"]
+    code, _, _ = ended(start("toy.yaml", "--out", "o", "--set", "sonar.pings=5", within=within))
+    assert code == 0
+    assert json.loads((place / "o" / "run.json").read_text())["status"] == "finished"
+
+
+def test_a_terminal_that_is_closed_stops_the_run(place, start):
+    process = long_run(start)
+    wait_for(lambda: running(place))
+    process.send_signal(signal.SIGHUP)
+    code, _, err = ended(process)
+    assert code == 130, err
+    assert json.loads((place / "o" / "run.json").read_text())["status"] == "interrupted"
+
+
+def test_a_second_signal_ends_the_run_at_once_and_run_json_says_so(place, start):
+    process = long_run(start)
+    wait_for(lambda: running(place))
+    os.kill(pid_of(place, process, "slow"), signal.SIGSTOP)  # so that the first takes its time
+    process.send_signal(signal.SIGTERM)
+    time.sleep(0.3)
+    process.send_signal(signal.SIGTERM)
+    assert ended(process)[0] == 130
+    said = json.loads((place / "o" / "run.json").read_text())
+    assert (said["status"], said["error"]) == ("interrupted", "stopped at once by a second signal")
+
+
+def test_a_run_that_cannot_begin_says_so_in_run_json(place, start):
+    (place / "open").mkdir(mode=0o755)
+    (place / "open" / "fls-flow").mkdir(mode=0o755)
+    code, _, err = ended(start("toy.yaml", "--out", "o", XDG_RUNTIME_DIR=str(place / "open")))
+    assert code == 1
+    assert "is not a private folder of this user; remove it or set XDG_RUNTIME_DIR" in err
+    said = json.loads((place / "o" / "run.json").read_text())
+    assert said["status"] == "failed"
+    assert "is not a private folder" in said["error"]
+
+
+def test_a_nursery_that_died_before_it_was_needed_is_named():
+    nursery = Nursery()
+    nursery.process.kill()
+    nursery.process.wait()
+    assignment = Assignment("r", "local", "g", "/none", "/none", Pace(8, False), {}, {})
+    with pytest.raises(RunError, match="the process that starts the others failed: it died"):
+        nursery.bear(graphs.load("surface_obstacle"), assignment, ())
+    nursery.channel.close()
+
+
+def test_a_nursery_ends_with_its_supervisor_while_it_loads(place):
+    code = "from fls_flow.nursery import Nursery; import os; Nursery(); os.kill(os.getpid(), 9)"
+    done = subprocess.run([sys.executable, "-c", code], env=environment(place), check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert not left_over(place)
 
 
 def test_when_the_supervisor_is_killed_the_others_notice_and_end(place, start):

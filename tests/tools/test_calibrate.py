@@ -207,7 +207,7 @@ def test_the_overlay_holds_what_it_was_found_with_but_not_the_recording(harbour)
     [
         (("--pfa", 2), "--pfa 2: a rate of false alarms"),
         (("--node", "cfr"), "--node cfr: the graph has no such node; it can calibrate cfar"),
-        (("--node", "tracker"), "--node tracker: kind 'jpda' has no threshold_ratio"),
+        (("--node", "tracker"), "--node tracker: kind 'jpda' lacks threshold_ratio()"),
         (("--pings", "3"), "--pings 3: write it as A:B"),
         (("--pings", "5:15", "--per-beam"), "--per-beam: takes at least 20 pings, not 10"),
         (("--pings", "15:5"), "--pings 15:5: holds no ping"),
@@ -218,7 +218,7 @@ def test_the_overlay_holds_what_it_was_found_with_but_not_the_recording(harbour)
         (("--mask-radius-m", 0), "--mask-radius-m 0.0: must be positive"),
         (("-o", "clutter.npz"), "--out clutter.npz: is there already"),
         (("--plot", "clutter.npz"), "--plot clutter.npz: is there already"),
-        (("--use", "cfar=threshold-centroids"), "the graph has 0 detectors to calibrate"),
+        (("--use", "cfar=threshold-centroids"), "has no detector that can be calibrated"),
         (("--set", "sonar.mount.position_m=[1,0,0]", "--set", "cfar.pfa.x=1"), "cfar"),
     ],
 )
