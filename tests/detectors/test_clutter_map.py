@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fls_detectors.clutter_map import ClutterMap, clipped_variance, smoothed
+from fls_flow import Ping
 
 
 def normal_pings(make_ping, n, *, mean=100.0, sd=8.0, shape=(200, 20), seed=0):
@@ -128,3 +129,29 @@ def test_goes_on_from_a_snapshot_bit_for_bit(make_ping):
 def test_bad_parameters_are_named(parameters, complaint):
     with pytest.raises(ValueError, match=complaint):
         ClutterMap(**parameters)
+
+
+@pytest.mark.parametrize("missing", ["nan", "inf", "invalid"])
+@pytest.mark.filterwarnings("error")
+def test_cells_without_data_spoil_nothing_and_come_to_life_as_background(missing):
+    """A sector without data up to ping 40, a flickering cell, and an object that comes at last."""
+    rng = np.random.default_rng(4)
+    node, whole = ClutterMap(warm_up_pings=10), ClutterMap(warm_up_pings=10)
+    table = (1.0 + 0.1 * np.arange(60), 0.02 * np.arange(30))
+    for number in range(60):
+        image = 80.0 + rng.normal(0.0, 3.0, (60, 30))
+        if number > 55:
+            image[40:43, 20:23] += 60.0
+        lost = np.zeros(image.shape, bool)
+        lost[:, :8] = number < 40
+        lost[20, 15] = number % 3 == 0
+        spoilt = np.where(lost, {"nan": np.nan, "inf": np.inf, "invalid": 999.0}[missing], image)
+        valid = ~lost if missing == "invalid" else None
+        out = node(Ping(number, number, spoilt.astype(np.float32), *table, valid)).amplitude
+        clean = whole(Ping(number, number, image.astype(np.float32), *table)).amplitude
+        assert np.isfinite(out).all()
+        assert not out[lost].any()
+        if number < 56:
+            assert out.max() < 6.0
+        assert_allclose(out[:, 20:], clean[:, 20:], atol=0.2)
+    assert out[41, 21] > 10.0

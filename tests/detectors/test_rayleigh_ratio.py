@@ -47,6 +47,29 @@ def test_an_echo_is_found_at_its_place(make_ping, dtype):
     assert found.detections.extent[0, 0] > 0.5
 
 
+@pytest.mark.parametrize("stored", [np.rint, np.floor], ids=["rounded", "cut off"])
+def test_faint_speckle_in_integers_makes_no_areas(make_ping, stored):
+    """From a fiftieth of a step to thirty: what is mostly zeros and ones is no speckle by its ratio.
+
+    Between 2 and 4 steps amplitudes that are cut off leave some unless `floor` is 4, as it is here.
+    """
+    node, found = RayleighRatio(floor=None if stored is np.rint else 4.0), 0
+    for seed, scale in enumerate([0.02, 0.1, 0.25, 0.5, 1.0, 1.5, 1.8, 2.0, 2.2, 3.0, 5.0, 10.0, 30.0]):
+        one = node(make_ping(stored(speckle(seed, scale=scale)).astype(np.uint8)))
+        found += len(one.detections) + len(one.shadows)
+    assert found <= 2
+    faint = stored(speckle(1, scale=0.3)).astype(np.uint8)
+    assert len(RayleighRatio(floor=0.0)(make_ping(faint)).detections) > 0
+
+
+def test_an_echo_over_nothing_is_found_in_integers(make_ping):
+    image = np.zeros((600, 40), np.uint8)
+    image[300:312, 18:22] = 60
+    found = RayleighRatio()(make_ping(image))
+    assert len(found.detections) == 1
+    assert_allclose(found.detections.range_m, 2.0 + 0.05 * 305.5, atol=0.2)
+
+
 def test_a_shadow_is_found_apart(make_ping):
     image = speckle(4)
     image[200:300, 10:26] *= 0.1
@@ -178,6 +201,7 @@ def test_the_wreck_shows_its_highlight_and_its_shadow():
         ({"sigmas": -1.0}, "sigmas must be positive and finite, not -1.0"),
         ({"tolerance": float("nan")}, "tolerance must be positive and finite, not nan"),
         ({"side": "lower"}, "not 'lower'"),
+        ({"floor": -1.0}, "floor must be finite and not negative, not -1.0"),
         ({"max_detections": 0}, "max_detections must be at least 1, not 0"),
     ],
 )

@@ -167,3 +167,15 @@ def test_nothing_in_one_cell_one_beam_or_no_image() -> None:
 def test_bad_parameters(settings, what) -> None:
     with pytest.raises(ValueError, match=what):
         ThresholdCentroids(**settings)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_images_that_are_mostly_zeros_have_objects_and_no_noise(dtype) -> None:
+    """The median of a dark 8-bit image is 0: 20 dB above that would be every cell that is not."""
+    faint = np.random.default_rng(5).rayleigh(0.4, (80, 20))
+    image = np.rint(faint).astype(dtype)
+    assert np.median(image) == 0
+    assert len(ThresholdCentroids(gap_m=0.0, gap_beams=0)(ping_of(image))) == 0
+    image[40:42, 10:12] = 30
+    found = ThresholdCentroids(gap_m=0.0, gap_beams=0)(ping_of(image))
+    assert_allclose(found.range_m, [RANGE_M[40:42].mean()])

@@ -28,12 +28,12 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@pytest.mark.parametrize("seed", [7, 1, 2])
-def test_the_wreck_has_highlight_and_shadow_and_one_stable_track(tmp_path, seed):
+@pytest.mark.parametrize(("seed", "dtype"), [(7, "float32"), (1, "float32"), (2, "uint16"), (3, "uint8")])
+def test_the_wreck_has_highlight_and_shadow_and_one_stable_track(tmp_path, seed, dtype):
     seen = run_graph(
         "ground_obstacle",
         collect=(TRACKS, TRUTH, FOUND, SHADOWS),
-        set_=[f"sonar.seed={seed}", f"nav.seed={seed}"],
+        set_=[f"sonar.seed={seed}", f"nav.seed={seed}", f"sonar.dtype={dtype}"],
         out=tmp_path,
     )
     confirmed = [t.id[t.status == TrackStatus.CONFIRMED].tolist() for t in seen[TRACKS]]

@@ -400,3 +400,12 @@ def test_the_node_keeps_the_contract(manoeuvres, frame, step):
     pings = [{"detections": one, "floor": None} for _, one in manoeuvres[0][:14]]
     check_node(NavUkf(frame=frame, step=step), pings)
     check_node(NavUkf(frame=frame, step=step))
+
+
+def test_detections_abeam_and_astern_are_no_cone_angles_and_start_nothing(ping_of, caplog):
+    tracker = NavUkf(frame="sensor")
+    for k in range(6):
+        tracks = tracker(ping_of(k, [20.0, 30.0, 25.0], [0.1, 0.5 * np.pi, -2.5])).tracks
+    assert tracks.id.tolist() == [1]
+    assert np.hypot(*tracks.state[0, :2]) < 21.0
+    assert caplog.text.count("90 degrees") == 1

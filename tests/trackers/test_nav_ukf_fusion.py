@@ -122,6 +122,24 @@ def test_dead_reckoning_comes_back_to_where_the_vehicle_is():
     assert known.position_m[0] > 29.0
 
 
+def test_dead_reckoning_takes_log_and_compass_from_samples_of_their_own():
+    """NMEA talkers speak in turn: no sample has both."""
+    fusion, stamp_ns = NavFusion(dead_reckon=True), 0
+    for number in range(120):
+        stamp_ns += 100_000_000
+        heading = (0.0, 0.0, 0.05 * stamp_ns * 1e-9)
+        if number % 2:
+            sample = NavState(number, stamp_ns, velocity_mps=(1.0, 0.1, 0.0), altitude_m=6.0)
+        else:
+            sample = NavState(number, stamp_ns, attitude_rad=heading)
+        ping = Ping(number, stamp_ns, np.zeros((2, 2), np.float32), np.array([1.0, 2.0]), np.zeros(2))
+        nav = fusion(ping, (sample,)).ping.nav
+    t = np.linspace(0.0, 12.0, 2001)
+    north = np.trapezoid(np.cos(0.05 * t) - 0.1 * np.sin(0.05 * t), t)
+    east = np.trapezoid(np.sin(0.05 * t) + 0.1 * np.cos(0.05 * t), t)
+    assert_allclose(nav.position_m[:2], [north, east], atol=0.2)
+
+
 def test_dead_reckoning_bridges_a_dvl_that_has_lost_the_bottom():
     lost = replace(sample(0.2), velocity_mps=UNKNOWN, altitude_m=NAN)
     fusion = NavFusion(dead_reckon=True)

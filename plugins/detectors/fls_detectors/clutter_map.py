@@ -12,6 +12,9 @@ import numpy.typing as npt
 from fls_flow import Ping, hookimpl
 
 FloatImage = npt.NDArray[np.float32]
+BoolImage = npt.NDArray[np.bool_]
+
+LARGEST = np.float32(1e18)  # the square of an amplitude is still a float32
 
 
 @dataclass
@@ -23,7 +26,9 @@ class ClutterMap:
     swimmer does not become background at once; kappa = E[min(z^2, clip^2)] of a normal z makes s unbiased.
     a = max(`rate`, 1 / (k + 1)) at ping k; s begins as the pooled spread between the first two pings and is
     never below `floor`, in steps of the amplitude. The first `warm_up_pings` come out as zeros, and so does
-    the first of another size. For a sonar that stands still; log-compressed samples are welcome.
+    the first of another size. Cells that are not valid or not finite count for nothing, come out as zeros,
+    and are met as background when they first have data. For a sonar that stands still; log-compressed
+    samples are welcome.
 
     Source: Nitzberg 1986 (clutter map); Huber 1964 (clipped recursion); prior mean, signed statistic and ramp
     as in Brinkmann 2010, 4.1, corrected.
@@ -37,6 +42,7 @@ class ClutterMap:
     _count: int = field(default=0, init=False, repr=False)
     _mean: FloatImage = field(default_factory=lambda: _no_image(), init=False, repr=False)
     _sd: FloatImage = field(default_factory=lambda: _no_image(), init=False, repr=False)
+    _seen: BoolImage = field(default_factory=lambda: np.zeros((0, 0), bool), init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.rate < 1.0:
@@ -52,12 +58,18 @@ class ClutterMap:
 
     def __call__(self, ping: Ping) -> Ping:
         """The normalised ping, float32; geometry, time and navigation as they came."""
-        image = smoothed(np.nan_to_num(ping.amplitude.astype(np.float32)), self.smooth_cells)
+        image, known = _smoothed_known(ping, self.smooth_cells)
         if image.shape != self._mean.shape:
             self._count, self._mean, self._sd = 0, image, np.full_like(image, self.floor)
+            self._seen = known
+        if not self._seen.all():
+            self._mean = np.where(self._seen, self._mean, image)
+            self._seen = self._seen | known
         innovation = image - self._mean
-        if self._count == 1 and image.size:
-            self._sd[:] = max(self.floor, 1.4826 * float(np.median(np.abs(innovation))) / 2**0.5)
+        if not known.all():
+            innovation = np.where(known, innovation, np.float32(0.0))
+        if self._count == 1 and known.any():
+            self._sd[:] = max(self.floor, 1.4826 * float(np.median(np.abs(innovation[known]))) / 2**0.5)
         height = np.maximum(innovation / self._sd, np.float32(0.0))
         if self._count < self.warm_up_pings:
             height = np.zeros_like(height)
@@ -83,13 +95,19 @@ class ClutterMap:
 
     def snapshot(self) -> dict[str, Any]:
         """The background and how many pings it has seen."""
-        return {"count": self._count, "mean": self._mean.copy(), "sd": self._sd.copy()}
+        return {
+            "count": self._count,
+            "mean": self._mean.copy(),
+            "sd": self._sd.copy(),
+            "seen": self._seen.copy(),
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a snapshot."""
         self._count = int(state["count"])
         self._mean = np.array(state["mean"], np.float32)
         self._sd = np.array(state["sd"], np.float32)
+        self._seen = np.array(state["seen"], bool)
 
 
 def clipped_variance(clip: float) -> float:
@@ -101,6 +119,22 @@ def clipped_variance(clip: float) -> float:
 
 def _no_image() -> FloatImage:
     return np.zeros((0, 0), np.float32)
+
+
+def _smoothed_known(ping: Ping, sigma_cells: tuple[float, float]) -> tuple[FloatImage, BoolImage]:
+    """The smoothed amplitudes of the cells with data, and which these are; 0 elsewhere.
+
+    X = G * (w x) / (G * w), w 1 in cells with data and 0 in others: those do not darken their neighbours.
+    """
+    image = ping.amplitude.astype(np.float32)
+    known = np.abs(image) < LARGEST  # neither nan nor infinite
+    if ping.valid is not None:
+        known &= ping.valid
+    if known.all():
+        return smoothed(image, sigma_cells), known
+    weight = smoothed(known.astype(np.float32), sigma_cells)
+    total = smoothed(np.where(known, image, np.float32(0.0)), sigma_cells)
+    return np.where(known, total / np.where(known, weight, np.float32(1.0)), np.float32(0.0)), known
 
 
 def smoothed(image: FloatImage, sigma_cells: tuple[float, float]) -> FloatImage:

@@ -25,7 +25,8 @@ class MeanEnergy:
     """One detection per 4-connected blob of cells with x^2 > -ln(pfa) E, at the blob's centroid.
 
     E is the mean energy of all beams over `window_m` of range around the cell; in Rayleigh clutter that is
-    the same all round, cells exceed it at the rate `pfa`. Lobes of one target stay detections of their own.
+    the same all round, cells exceed it at the rate `pfa`. Of integer amplitudes E counts at least 1, one
+    step. Lobes of one target stay detections of their own.
     Of more than `max_detections` the ones with the highest peaks are kept.
 
     Source: after Lo & Ferguson 2004, as the benchmark of Abu 2024, section VI; the window and the threshold
@@ -55,7 +56,9 @@ class MeanEnergy:
             return Detections.of(ping, range_m=[], bearing_rad=[], amplitude=[])
         amplitude, valid = frozen(ping.amplitude), frozen(ALL_VALID if ping.valid is None else ping.valid)
         half = int(0.5 * self.window_m / ping.cell_m + 0.5)
-        limit = -np.log(self.pfa) * ring_energy(*_row_energies(amplitude, valid), half)
+        step = 1.0 if np.issubdtype(amplitude.dtype, np.integer) else 0.0
+        energy = np.maximum(ring_energy(*_row_energies(amplitude, valid), half), step)
+        limit = -np.log(self.pfa) * energy
         found = blobs_of(ping, _above(amplitude, valid, limit.astype(np.float32)))
         found = found.select(found.cells >= self.min_cells)
         if found.peak.size > self.max_detections:
@@ -76,12 +79,24 @@ def ring_energy(total: FloatArray, count: IntArray, half: int) -> FloatArray:
 
     `total` and `count` (n_ranges,) are the power and the number of the known cells of each row.
     """
-    sums = np.concatenate([[0.0], np.cumsum(total)]), np.concatenate([[0], np.cumsum(count)])
-    rows = np.arange(total.size)
-    low, high = np.maximum(rows - half, 0), np.minimum(rows + half + 1, rows.size)
-    number = sums[1][high] - sums[1][low]
-    mean: FloatArray = np.maximum(sums[0][high] - sums[0][low], 0.0) / np.maximum(number, 1)
+    number = _window_sums(count.astype(float), half)
+    mean: FloatArray = _window_sums(total, half) / np.maximum(number, 1.0)
     return mean
+
+
+def _window_sums(values: FloatArray, half: int) -> FloatArray:
+    """Sums (n,) of values m - half .. m + half, as many as there are.
+
+    Each is the end of one block and the start of the next, both added up in it: differences of one running
+    sum would carry the rounding of a huge value into all windows behind it.
+    """
+    n, length = values.size, 2 * half + 1
+    blocks = np.zeros((-(-(n + 2 * half) // length), length))
+    blocks.reshape(-1)[half : half + n] = values
+    starts = np.cumsum(blocks, axis=1).reshape(-1)
+    ends = np.cumsum(blocks[:, ::-1], axis=1)[:, ::-1].reshape(-1)
+    first = np.arange(n)
+    return ends[first] + np.where(first % length, starts[first + length - 1], 0.0)
 
 
 @compiled

@@ -18,6 +18,8 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 Side = Literal["both", "upper"]
 
+INTEGER_STEPS = 2.0  # mean from which rounding leaves the ratio of speckle within its tolerance
+
 
 class EchoesAndShadows(NamedTuple):
     """One detection per area."""
@@ -36,9 +38,12 @@ class RayleighRatio:
     snippets that are speckle, and a shadow where it is below. Flagged snippets of one kind that touch
     (8-connected) make an area; its place is the centroid of its amplitudes (for shadows, of what is missing
     to the floor's), its amplitude their mean. Areas of fewer than `min_cells` are left out. Cells that are
-    not valid or not finite do not count; a snippet with fewer than half of its cells is not judged.
+    not valid or not finite do not count; a snippet with fewer than half of its cells is not judged, nor one
+    whose mean is below `floor`, by default two steps of integer amplitudes: the law of what is mostly zeros
+    and ones is that of the rounding.
 
-    Source: Quidu, Bertholom & Dupas 2010, section 2; size, tolerance, overlap and the two kinds are ours.
+    Source: Quidu, Bertholom & Dupas 2010, section 2; size, tolerance, overlap, floor and the two kinds are
+    ours.
     """
 
     snippet_ranges: int = 15
@@ -47,6 +52,7 @@ class RayleighRatio:
     sigmas: float = 5.0
     tolerance: float | None = None
     side: Side = "both"
+    floor: float | None = None  # in units of the amplitude
     min_cells: int = 1
     max_detections: int = 1000  # of each kind; the largest are kept
 
@@ -64,6 +70,8 @@ class RayleighRatio:
             value = getattr(self, name)
             if value is not None and not 0.0 < value < math.inf:
                 raise ValueError(f"{name} must be positive and finite, not {value}")
+        if self.floor is not None and not 0.0 <= self.floor < math.inf:
+            raise ValueError(f"floor must be finite and not negative, not {self.floor}")
         if self.side not in get_args(Side):
             raise ValueError(f"side must be one of {get_args(Side)}, not {self.side!r}")
 
@@ -74,7 +82,8 @@ class RayleighRatio:
             return EchoesAndShadows(none, none)
         amplitude, valid = _clean(ping)
         grid = snippets(amplitude, valid, (self.snippet_ranges, self.snippet_beams), self.overlap)
-        flagged = self._flagged(grid)
+        steps = INTEGER_STEPS if np.issubdtype(ping.amplitude.dtype, np.integer) else 0.0
+        flagged = self._flagged(grid, steps if self.floor is None else self.floor)
         background = _background(grid, flagged)
         bright = flagged & (grid.mean >= background[:, None])
         echo = painted(grid, bright, amplitude.shape)
@@ -88,7 +97,7 @@ class RayleighRatio:
             _detections(ping, self._largest(shade), amplitude, shade=level),
         )
 
-    def _flagged(self, grid: Snippets) -> BoolArray:
+    def _flagged(self, grid: Snippets, floor: float) -> BoolArray:
         tolerance = self.sigmas * RATIO_SD / np.sqrt(np.maximum(grid.cells, 1.0))
         if self.tolerance is not None:
             tolerance = np.full(grid.cells.shape, self.tolerance)
@@ -96,7 +105,7 @@ class RayleighRatio:
         if self.side == "both":
             off = np.abs(off)
         enough = grid.cells >= 0.5 * grid.shape[0] * grid.shape[1]
-        flagged: BoolArray = enough & (off > tolerance)  # nan: no
+        flagged: BoolArray = enough & (off > tolerance) & (grid.mean >= floor)  # nan: no
         return flagged
 
     def _largest(self, found: Areas) -> Areas:

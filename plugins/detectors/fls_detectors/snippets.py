@@ -1,4 +1,4 @@
-"""Statistics of overlapping snippets of an image, by integral images, and the areas that they make."""
+"""Statistics of overlapping snippets of an image, and the areas that they make."""
 
 from __future__ import annotations
 
@@ -63,27 +63,47 @@ def snippets(
     """
     rows, beams = (starts(size, s, overlap) for size, s in zip(amplitude.shape, shape, strict=True))
     height, width = (min(size, s) for size, s in zip(amplitude.shape, shape, strict=True))
-    if valid is not None:
-        amplitude = np.where(valid, amplitude, np.float32(0.0))
-    total, squares = cv2.integral2(amplitude, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
-    S1, S2 = (_boxes(one, rows, beams, height, width) for one in (total, squares))
-    if valid is None:
-        n = np.full(S1.shape, float(height * width))
-    else:
-        n = _boxes(cv2.integral(valid.astype(np.uint8)), rows, beams, height, width)
+    known = np.zeros((0, 0), bool) if valid is None else valid
+    n, S1, S2 = _sums(frozen(amplitude), frozen(known), frozen(rows), frozen(beams), height, width)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = S1 / n
         ratio = np.sqrt(np.maximum(S2 / n - mean * mean, 0.0)) / mean
     return Snippets(rows, beams, (height, width), n, mean, ratio)
 
 
-def _boxes(
-    integral: npt.NDArray[np.generic], rows: IntArray, beams: IntArray, height: int, width: int
-) -> FloatArray:
-    table = np.asarray(integral, float)
-    low, high = table[rows], table[rows + height]
-    sums: FloatArray = high[:, beams + width] - high[:, beams] - low[:, beams + width] + low[:, beams]
-    return sums
+@compiled
+def _sums(
+    amplitude: npt.NDArray[np.float32],
+    valid: BoolArray,
+    row: IntArray,
+    beam: IntArray,
+    height: int,
+    width: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Number, sum and sum of squares of the valid cells of each snippet, (n_rows, n_columns).
+
+    Columns first, then along the snippet: no cell counts in a snippet that it is not in. Differences of an
+    integral image would carry the rounding of one huge cell into all snippets behind it.
+    """
+    shape = (row.size, beam.size)
+    n, S1, S2 = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    beams = amplitude.shape[1]
+    count, total, squares = np.empty(beams), np.empty(beams), np.empty(beams)
+    for i in range(row.size):
+        count[:], total[:], squares[:] = 0.0, 0.0, 0.0
+        for a in range(row[i], row[i] + height):
+            for b in range(beams):
+                known = valid.size == 0 or valid[a, b]
+                x = float(amplitude[a, b]) if known else 0.0
+                count[b] += known
+                total[b] += x
+                squares[b] += x * x
+        for j in range(beam.size):
+            for b in range(beam[j], beam[j] + width):
+                n[i, j] += count[b]
+                S1[i, j] += total[b]
+                S2[i, j] += squares[b]
+    return n, S1, S2
 
 
 def painted(grid: Snippets, flagged: BoolArray, shape: tuple[int, int]) -> BoolArray:

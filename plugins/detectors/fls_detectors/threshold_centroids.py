@@ -15,6 +15,8 @@ __all__ = ["Regions", "ThresholdCentroids", "bright_regions"]
 
 FloatArray = npt.NDArray[np.float64]
 
+LARGEST = float(np.finfo(np.float32).max)  # above which there is no amplitude
+
 
 class Regions(NamedTuple):
     """Connected regions, in order of range, then beam, of their first cells."""
@@ -32,8 +34,9 @@ class ThresholdCentroids:
     """One detection per connected region of cells above a threshold, at the region's centroid.
 
     The threshold is `threshold` in units of the amplitude, or `threshold_db` above the ping's median where
-    that is None. Cells with gaps of up to `gap_m` and `gap_beams` between them make one region, of
-    `min_cells` to `max_cells` cells: an object's echo is patchy, and trackers take each region for an object.
+    that is None; of integer amplitudes the median counts at least 1, one step. Cells with gaps of up to
+    `gap_m` and `gap_beams` between them make one region, of `min_cells` to `max_cells` cells: an object's
+    echo is patchy, and trackers take each region for an object.
     Centroids are weighted by power; the covariance is that of a centroid known to a part of the region's
     size: its spread, plus a cell's own 1/12, over sqrt(2) per axis, and at least `min_sd_m` and
     `min_sd_beams`. Regions with more than `max_border_share` of their power in the first and last beam are
@@ -83,7 +86,8 @@ class ThresholdCentroids:
         if ping.valid is not None:
             known &= ping.valid
         amplitude[~known] = 0.0
-        limit = self._limit(amplitude, known)
+        step = 1.0 if np.issubdtype(ping.amplitude.dtype, np.integer) else 0.0
+        limit = self._limit(amplitude, known, step)
         gap = (math.floor(self.gap_m / ping.cell_m + 1e-9), self.gap_beams)
         found = bright_regions(amplitude, (amplitude > limit) & known, gap)
         kept = (found.cells >= self.min_cells) & (found.cells <= self.max_cells)
@@ -91,11 +95,11 @@ class ThresholdCentroids:
             kept &= found.border <= self.max_border_share
         return self._detections(ping, Regions(*(part[kept] for part in found)))
 
-    def _limit(self, amplitude: npt.NDArray[np.float32], known: npt.NDArray[np.bool_]) -> float:
+    def _limit(self, amplitude: npt.NDArray[np.float32], known: npt.NDArray[np.bool_], step: float) -> float:
         if self.threshold is not None:
             return self.threshold
-        middle = float(np.median(amplitude[known])) if known.any() else 0.0
-        return middle * float(10.0 ** (self.threshold_db / 20.0))
+        middle = float(np.median(amplitude[known].astype(float))) if known.any() else 0.0
+        return min(max(middle, step) * float(10.0 ** (self.threshold_db / 20.0)), LARGEST)
 
     def _detections(self, ping: Ping, found: Regions) -> Detections:
         if found.cells.size > self.max_detections:

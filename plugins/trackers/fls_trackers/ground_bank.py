@@ -21,6 +21,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 PRIOR_AFLOAT = 0.1  # of a new track to be in the water column
 NEAR_ON_FLOOR = 0.1  # chance that an object on the floor seems nearer than the floor, by an error
+MOST_SD_M = 1e3  # a track less certain than the sea is wide says nothing more
 FADE = 1e-300  # the odds do not underflow
 
 
@@ -50,6 +51,13 @@ class GroundBank:
     def afloat(self) -> BoolArray:
         """Which are rather in the water column than on the floor, (n,)."""
         return afloat_probability(self.near) > 0.5
+
+    @property
+    def sane(self) -> BoolArray:
+        """Whose state still says something, (n,)."""
+        size = np.abs(self.x).sum(axis=1) + np.abs(self.P).sum(axis=(1, 2))
+        known: BoolArray = np.isfinite(size) & (self.x[:, 0] > 0.0) & (self.P[:, 0, 0] < MOST_SD_M**2)
+        return known
 
     def select(self, which: npt.NDArray[Any]) -> GroundBank:
         """The tracks that a mask or an index array selects, as copies."""

@@ -8,19 +8,24 @@ Source: Quidu, Bertholom & Dupas 2010, section 4.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from fls_flow import View
+
 __all__ = [
     "FixedNoise",
+    "cell_of",
     "correct",
     "flat",
     "means_by_group",
     "measurement_noise",
     "nearest_tracks",
+    "process_noise",
     "sigma_points",
     "start_groups",
     "unscented",
@@ -30,6 +35,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 FixedNoise = Literal["paper", "huber", "fixed"]
 
+UNKNOWN_CELL_M, UNKNOWN_SPACING_RAD = 0.05, math.radians(1.5)
 KAPPA = 1.0  # 3 - n: all weights positive, so that P stays positive semidefinite
 
 
@@ -59,6 +65,26 @@ def unscented(
     mean = np.einsum("i,ina->na", W, moved)
     apart = moved - mean
     return mean, np.einsum("i,ina,inb->nab", W, apart, apart)
+
+
+def process_noise(
+    x: FloatArray, dt_s: float, q: tuple[float, float], speed_mps: float, turn_dps: float
+) -> FloatArray:
+    """Q (n, 2, 2): q plus (dt speed)^2 in range, (dt speed / d)^2 + (dt turn)^2 in bearing."""
+    moved = (speed_mps * dt_s) ** 2
+    Q = np.zeros((len(x), 2, 2))
+    Q[:, 0, 0] = q[0] + moved
+    Q[:, 1, 1] = q[1] + moved / np.maximum(x[:, 0], 1.0) ** 2
+    Q[:, 1, 1] += math.radians(turn_dps * dt_s) ** 2
+    return Q
+
+
+def cell_of(view: View) -> FloatArray:
+    """Size of a pixel (2,): a range cell (m) and a beam spacing (rad), usual ones of a mute view."""
+    cell, spacing = view.cell_m, view.beam_spacing_rad
+    return np.array(
+        [cell if cell > 0.0 else UNKNOWN_CELL_M, spacing if spacing > 0.0 else UNKNOWN_SPACING_RAD]
+    )
 
 
 def measurement_noise(innovation_px: FloatArray, floor_px: FloatArray, noise: FixedNoise) -> FloatArray:

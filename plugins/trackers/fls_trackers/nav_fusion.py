@@ -165,6 +165,7 @@ class _Samples:
     stamps_ns: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
     rows: FloatArray = field(default_factory=lambda: np.zeros((0, COLUMNS)))
     speed: FloatArray = field(default_factory=lambda: np.full(3, np.nan))  # NED, the last known
+    last: FloatArray = field(default_factory=lambda: np.full(COLUMNS, np.nan))  # number by number
     any: bool = False  # whether there has ever been one
 
     def add(self, samples: tuple[NavState, ...]) -> None:
@@ -198,6 +199,7 @@ class _Samples:
             "stamps_ns": self.stamps_ns.copy(),
             "rows": self.rows.copy(),
             "speed": self.speed.copy(),
+            "last": self.last.copy(),
             "any": self.any,
         }
 
@@ -206,14 +208,19 @@ class _Samples:
         self.stamps_ns = np.array(saved["stamps_ns"], np.int64)
         self.rows = np.array(saved["rows"], float).reshape(-1, COLUMNS)
         self.speed = np.array(saved["speed"], float)
+        self.last = np.array(saved["last"], float)
         self.any = bool(saved["any"])
 
     def _reckon(self, stamps: list[int], rows: list[FloatArray]) -> None:
-        """Replace the positions; a velocity that is missing for a while stays as it was."""
+        """Replace the positions; a velocity or attitude that is missing for a while stays as it was.
+
+        Samples may tell one or the other: a log and a compass need not speak at once.
+        """
         last = self.rows[-1] if len(self.rows) else None
         then = int(self.stamps_ns[-1]) if len(self.rows) else 0
         for stamp, now in zip(stamps, rows, strict=True):
-            speed = velocity_ned(now)
+            self.last = np.where(np.isfinite(now), now, self.last)
+            speed = velocity_ned(self.last)
             speed = speed if np.isfinite(speed).all() else self.speed
             if last is None:
                 now[POSITION] = np.nan_to_num(now[POSITION])

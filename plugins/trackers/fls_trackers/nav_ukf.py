@@ -5,27 +5,30 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from fls_flow import Classes, Detections, Frame, Tracks, TrackStatus, View, hookimpl
+from fls_flow import Detections, Frame, TrackStatus, View, hookimpl
+from fls_trackers.ground_answer import TracksAndClasses, answered
 from fls_trackers.ground_bank import GroundBank, PoseSd, afloat_probability, places
 from fls_trackers.ground_filter import (
+    cell_of,
     correct,
     flat,
     means_by_group,
     measurement_noise,
     nearest_tracks,
+    process_noise,
     start_groups,
     unscented,
 )
 from fls_trackers.ground_floor import FloorPlane
-from fls_trackers.ground_motion import SensorMotion, locate, moved_euler, moved_exact, rates, sensor_motion
+from fls_trackers.ground_motion import SensorMotion, locate, moved_euler, moved_exact, sensor_motion
 from fls_trackers.ground_noise import NoiseEstimate
 
-__all__ = ["NavUkf", "TracksAndClasses"]
+__all__ = ["NavUkf"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -33,18 +36,6 @@ BoolArray = npt.NDArray[np.bool_]
 Step = Literal["exact", "euler"]
 Noise = Literal["adaptive", "paper", "huber", "fixed"]
 log = logging.getLogger(__name__)
-
-NAMES = ("ground", "water-column")
-STILL_SD_MPS = 1e-3  # the speed of a still object, so that covariances can be inverted
-MOST_SD_M = 1e3  # a track less certain than the sea is wide says nothing more
-UNKNOWN_CELL_M, UNKNOWN_SPACING_RAD = 0.05, math.radians(1.5)  # of a view that does not tell
-
-
-class TracksAndClasses(NamedTuple):
-    """The tracks, and whether they lie on the floor or in the water column."""
-
-    tracks: Tracks
-    classes: Classes
 
 
 @dataclass
@@ -70,6 +61,9 @@ class NavUkf:
     The floor is level at the altitude of `detections.view.nav`, or the plane of `floor`. An echo nearer than
     the floor by `near_margin_m` is none of it: each such update makes it more probable that the track is in
     the water column, and `classes` tells. It then begins anew from there, in the sonar's own plane.
+
+    Bearings are cone angles of a horizontal array, which tell no side: detections from 90 degrees on are left
+    out. A sonar that looks aside or astern has that in its `mount`.
 
     Raises ValueError when a stamp does not increase or a detection is not finite; the state stays as it was.
 
@@ -116,10 +110,9 @@ class NavUkf:
         positive = ("limit_m", "start_limit_m", "floor_range_px", "floor_bearing_px")
         for name in (*positive, "start_range_px", "start_bearing_px"):
             self._require(name, 0.0 < getattr(self, name) < math.inf, "positive and finite")
-        unsigned = ("q_range_m2", "q_bearing_rad2", "velocity_sd_mps", "rate_sd_dps")
-        for name in (*unsigned, "drift_mps", "drift_dps", "near_margin_m"):
-            self._require(name, 0.0 <= getattr(self, name) < math.inf, "finite and not negative")
-        for name in ("position_sd_m", "heading_sd_deg", "tilt_sd_deg", "altitude_sd_m"):
+        unsigned = ("q_range_m2", "q_bearing_rad2", "velocity_sd_mps", "rate_sd_dps", "drift_mps")
+        spreads = ("drift_dps", "position_sd_m", "heading_sd_deg", "tilt_sd_deg", "altitude_sd_m")
+        for name in (*unsigned, *spreads, "near_margin_m"):
             self._require(name, 0.0 <= getattr(self, name) < math.inf, "finite and not negative")
         for name in ("misses", "confirm_hits", "max_tracks", "noise_memory"):
             self._require(name, getattr(self, name) >= 1, "at least 1")
@@ -129,19 +122,16 @@ class NavUkf:
     def __call__(self, detections: Detections, floor: FloorPlane | None = None) -> TracksAndClasses:
         """The tracks at the stamp of `detections`, after its update."""
         dt_s = self._elapsed_s(detections)
-        y = np.stack([detections.range_m, detections.bearing_rad], axis=-1)
-        if not np.isfinite(y).all():
-            bad = int(np.argmax(~np.isfinite(y).all(axis=1)))
-            raise ValueError(f"ping seq {detections.seq}: detection {bad} is at {y[bad].tolist()} m, rad")
+        y = self._ahead(detections)
         view = detections.view
         motion = self._motion(view, floor)
         bank = self._predicted(motion, dt_s)
         member = nearest_tracks(flat(bank.x), flat(y), self.limit_m)
-        bank = self._updated(bank, y, member, _cell(view), motion)
+        bank = self._updated(bank, y, member, cell_of(view), motion)
         placed = motion is not None and bool(np.isfinite(motion.origin_m[:2]).all()) and _heading(view)
         starts = GroundBank()
         if placed or self.frame == "sensor":
-            starts = self._starts(y[member < 0], motion, _cell(view), self.max_tracks - len(bank))
+            starts = self._starts(y[member < 0], motion, cell_of(view), self.max_tracks - len(bank))
         self._stamp_ns, self._before = detections.stamp_ns, motion
         bank = bank.joined(starts)
         if motion is not None and placed and view.nav is not None and len(bank):
@@ -195,6 +185,18 @@ class NavUkf:
             )
         return elapsed * 1e-9
 
+    def _ahead(self, detections: Detections) -> FloatArray:
+        """The measurements (m, 2) that a horizontal array can have made."""
+        y = np.stack([detections.range_m, detections.bearing_rad], axis=-1)
+        if not np.isfinite(y).all():
+            bad = int(np.argmax(~np.isfinite(y).all(axis=1)))
+            raise ValueError(f"ping seq {detections.seq}: detection {bad} is at {y[bad].tolist()} m, rad")
+        ahead = np.abs(y[:, 1]) < 0.5 * np.pi
+        if not ahead.all() and "astern" not in self._said:
+            self._said.add("astern")
+            log.warning("bearings of 90 degrees and more are left out: mount the sonar by its yaw; said once")
+        return y[ahead]
+
     def _motion(self, view: View, floor: FloorPlane | None) -> SensorMotion | None:
         motion = None if view.nav is None else sensor_motion(view.nav, view.mount, floor)
         if motion is None and view.bearing_rad.size and "navigation" not in self._said:
@@ -211,24 +213,16 @@ class NavUkf:
         if not len(bank):
             return bank
         afloat = bank.afloat
-        Q = self._process_noise(bank.x, dt_s, self.velocity_sd_mps, self.rate_sd_dps)
+        q = (self.q_range_m2, self.q_bearing_rad2)
+        Q = process_noise(bank.x, dt_s, q, self.velocity_sd_mps, self.rate_sd_dps)
         if before is None or (motion is None and self.step == "exact"):
             x, P = bank.x, bank.P
-            Q = self._process_noise(bank.x, dt_s, self.drift_mps, self.drift_dps)
+            Q = process_noise(bank.x, dt_s, q, self.drift_mps, self.drift_dps)
         elif motion is not None and self.step == "exact":
             x, P = unscented(bank.x, bank.P, lambda z: moved_exact(z, before, motion, dt_s, afloat))
         else:
             x, P = unscented(bank.x, bank.P, lambda z: moved_euler(z, before, dt_s, afloat))
         return replace(bank, x=x, P=P + Q, age=bank.age + 1, misses=bank.misses + 1)
-
-    def _process_noise(self, x: FloatArray, dt_s: float, speed_mps: float, turn_dps: float) -> FloatArray:
-        """Q (n, 2, 2): q plus (dt speed)^2 in range, (dt speed / d)^2 + (dt turn)^2 in bearing."""
-        moved = (speed_mps * dt_s) ** 2
-        Q = np.zeros((len(x), 2, 2))
-        Q[:, 0, 0] = self.q_range_m2 + moved
-        Q[:, 1, 1] = self.q_bearing_rad2 + moved / np.maximum(x[:, 0], 1.0) ** 2
-        Q[:, 1, 1] += math.radians(turn_dps * dt_s) ** 2
-        return Q
 
     def _updated(
         self, bank: GroundBank, y: FloatArray, member: IntArray, cell: FloatArray, motion: SensorMotion | None
@@ -288,57 +282,11 @@ class NavUkf:
         """The tracks that go on and those lost now; the latter are then forgotten."""
         confirmed = np.logical_or(bank.confirmed > 0, bank.hits >= self.confirm_hits)
         bank = replace(bank, confirmed=confirmed.astype(np.int64))
-        size = np.abs(bank.x).sum(axis=1) + np.abs(bank.P).sum(axis=(1, 2))
-        sane = np.isfinite(size) & (bank.x[:, 0] > 0.0) & (bank.P[:, 0, 0] < MOST_SD_M**2)
-        keep = (bank.misses < self.misses) & sane
+        keep = (bank.misses < self.misses) & bank.sane
         status = np.where(confirmed, TrackStatus.CONFIRMED, TrackStatus.TENTATIVE)
         status[confirmed & ~keep] = TrackStatus.LOST
         self._bank = bank.select(keep)
-        shown = (keep | (confirmed & sane)) & (self._shown(bank))
-        seen, status = bank.select(shown), status[shown].astype(np.uint8)
-        state, P = self._states(seen, motion)
-        tracks = Tracks(
-            detections.seq, detections.stamp_ns, seen.id, status, state, P, seen.hits, seen.age, self.frame
-        )
-        return TracksAndClasses(tracks, _classes(seen, detections))
-
-    def _shown(self, bank: GroundBank) -> BoolArray:
-        if self.frame == "sensor":
-            return np.ones(len(bank), bool)
-        return np.asarray(np.isfinite(bank.ned_m).all(axis=1), bool)
-
-    def _states(self, bank: GroundBank, motion: SensorMotion | None) -> tuple[FloatArray, FloatArray]:
-        """States (n, 4) and covariances (n, 4, 4) in the frame of the answer."""
-        state, P = np.zeros((len(bank), 4)), np.zeros((len(bank), 4, 4))
-        P[:, 2, 2] = P[:, 3, 3] = STILL_SD_MPS**2
-        if self.frame == "ned":
-            state[:, :2], P[:, :2, :2] = bank.ned_m, bank.ned_cov
-            return state, P
-        mean, spread = unscented(bank.x, bank.P, flat)
-        state[:, :2], P[:, :2, :2] = mean, spread
-        if motion is not None:
-            speed = rates(bank.x, locate(bank.x, motion, bank.afloat).m, motion)
-            (d, delta), (d_dot, delta_dot) = bank.x.T, speed.T
-            state[:, 2] = d_dot * np.cos(delta) - d * delta_dot * np.sin(delta)
-            state[:, 3] = d_dot * np.sin(delta) + d * delta_dot * np.cos(delta)
-        return state, P
-
-
-def _classes(bank: GroundBank, detections: Detections) -> Classes:
-    afloat = afloat_probability(bank.near)
-    posterior = np.stack([1.0 - afloat, afloat], axis=-1)
-    label = (afloat > 0.5).astype(np.int64)
-    return Classes(detections.seq, detections.stamp_ns, bank.id.copy(), NAMES, label, posterior)
-
-
-def _cell(view: View) -> FloatArray:
-    cell, spacing = view.cell_m, view.beam_spacing_rad
-    return np.array(
-        [
-            cell if cell > 0.0 else UNKNOWN_CELL_M,
-            spacing if spacing > 0.0 else UNKNOWN_SPACING_RAD,
-        ]
-    )
+        return answered(bank, keep | (confirmed & bank.sane), status, motion, self.frame, detections)
 
 
 def _heading(view: View) -> bool:

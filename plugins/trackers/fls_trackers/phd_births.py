@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from fls_flow.geometry import to_cartesian
 from fls_flow.kernels import compiled
-from fls_trackers.phd_sector import Births, Measurements, Sector
+from fls_trackers.phd_sector import Births, Measurements, Sector, within_half_turn
 
 __all__ = ["born"]
 
@@ -40,11 +40,10 @@ def born(
     cut = -math.expm1(-0.5 * PROPOSAL_SD**2)
     radius, angle = np.sqrt(-2.0 * np.log1p(-cut * rng.random(n))), 2.0 * np.pi * rng.random(n)
     r = z.range_m[which] + z.range_sd_m[which] * radius * np.cos(angle)
-    b = z.bearing_rad[which] + z.bearing_sd_rad[which] * radius * np.sin(angle)
+    b = sector.bearings(z.bearing_rad[which] + z.bearing_sd_rad[which] * radius * np.sin(angle))
     velocity = _velocities(n, births, rng)
     new = (r >= births.near_m) & (r <= births.far_m)
-    inside = (r >= sector.range_min_m) & (r <= sector.range_max_m) if births.unseen > 0.0 else new
-    inside &= (b >= sector.bearing_min_rad) & (b <= sector.bearing_max_rad)
+    inside = sector.spans(r, b) & (new | (births.unseen > 0.0))
     r, b, velocity = r[inside], b[inside], velocity[inside]
     share = np.bincount(which, minlength=len(z)) / n
     q = _proposal(r, b, z.range_m, z.bearing_rad, z.range_sd_m, z.bearing_sd_rad, share / cut)
@@ -88,7 +87,7 @@ def _proposal(
     for i in range(zr.size):
         scale = share[i] / (2.0 * math.pi * sr[i] * sb[i])
         for s in range(r.size):
-            u, v = (r[s] - zr[i]) / sr[i], (b[s] - zb[i]) / sb[i]
+            u, v = (r[s] - zr[i]) / sr[i], within_half_turn(b[s] - zb[i], 0.0) / sb[i]
             d2 = u * u + v * v
             if d2 <= PROPOSAL_SD * PROPOSAL_SD * (1.0 + 1e-9):
                 q[s] += scale * math.exp(-0.5 * d2)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from fls_flow.kernels import compiled
 from fls_trackers.kalman import predict
-from fls_trackers.phd_sector import Births, Measurements, Sector
+from fls_trackers.phd_sector import FULL_TURN_RAD, Births, Measurements, Sector, within_half_turn
 
 __all__ = ["Explained", "Mixture", "explained", "predicted"]
 
@@ -79,7 +79,7 @@ def _inside(state: FloatArray, covariance: FloatArray, sector: Sector) -> FloatA
         across = s * s * P[0, 0] - 2.0 * c * s * P[0, 1] + c * c * P[1, 1]
         sd_r, sd_b = math.sqrt(along), math.sqrt(across) / max(r, 1e-9)
         part[t] = _between(r, sd_r, sector.range_min_m, sector.range_max_m)
-        part[t] *= _between(b, sd_b, sector.bearing_min_rad, sector.bearing_max_rad)
+        part[t] *= _beside(b, sd_b, sector)
     return part
 
 
@@ -91,20 +91,19 @@ def _between(mean: float, sd: float, low: float, high: float) -> float:
 
 
 @compiled
+def _beside(mean: float, sd: float, sector: Sector) -> float:
+    """P(the bearing is the sector's) of a normal bearing; 1 all round."""
+    low, high = sector.bearing_min_rad, sector.bearing_max_rad
+    return 1.0 if high - low > FULL_TURN_RAD else _between(mean, sd, low, high)
+
+
+@compiled
 def _line_of_sight(x: FloatArray, sector: Sector) -> tuple[float, float, float, float]:
     """Range, bearing, and the direction [c, s] from the sonar in the frame of the targets."""
     dx, dy = x[0] - sector.north_m, x[1] - sector.east_m
     r = max(math.hypot(dx, dy), 1e-9)
-    return r, _wrapped(math.atan2(dy, dx) - sector.heading_rad), dx / r, dy / r
-
-
-@compiled
-def _wrapped(angle: float) -> float:
-    while angle > math.pi:
-        angle -= 2.0 * math.pi
-    while angle <= -math.pi:
-        angle += 2.0 * math.pi
-    return angle
+    middle = 0.5 * (sector.bearing_min_rad + sector.bearing_max_rad)
+    return r, within_half_turn(math.atan2(dy, dx) - sector.heading_rad, middle), dx / r, dy / r
 
 
 def explained(mixture: Mixture, births: Births, z: Measurements, p_d: float, sector: Sector) -> Explained:
@@ -164,9 +163,9 @@ def _pairs(
         r, b, c, s = _line_of_sight(state[t], sector)
         s11, s12, s22 = _polar_spread(covariance[t], r, c, s)
         for i in range(m):
-            d2, det = _distance(zr[i] - r, _wrapped(zb[i] - b), s11 + vr[i], s12, s22 + vb[i])
+            d2, det = _distance(zr[i] - r, within_half_turn(zb[i] - b, 0.0), s11 + vr[i], s12, s22 + vb[i])
             if d2 <= GATE:
-                innovation = (zr[i] - r, _wrapped(zb[i] - b), s11 + vr[i], s12, s22 + vb[i])
+                innovation = (zr[i] - r, within_half_turn(zb[i] - b, 0.0), s11 + vr[i], s12, s22 + vb[i])
                 _update(state[t], covariance[t], r, c, s, innovation, x[k], P[k])
                 w[k] = detected[t] * weight[t] * math.exp(-0.5 * d2) / (2.0 * math.pi * math.sqrt(det))
                 parent[k], of[k] = t, i
@@ -192,7 +191,7 @@ def _count(
         r, b, c, s = _line_of_sight(state[t], sector)
         s11, s12, s22 = _polar_spread(covariance[t], r, c, s)
         for i in range(zr.size):
-            d2, _ = _distance(zr[i] - r, _wrapped(zb[i] - b), s11 + vr[i], s12, s22 + vb[i])
+            d2, _ = _distance(zr[i] - r, within_half_turn(zb[i] - b, 0.0), s11 + vr[i], s12, s22 + vb[i])
             k += d2 <= GATE
     return k
 
@@ -255,8 +254,7 @@ def _births(
     for i in range(m):
         near = density * _between(zr[i], sr[i], births.near_m, births.far_m)
         near += unseen * _between(zr[i], sr[i], sector.range_min_m, sector.range_max_m)
-        beside = _between(zb[i], sb[i], sector.bearing_min_rad, sector.bearing_max_rad)
-        weight[i] = p_d * zr[i] * near * beside
+        weight[i] = p_d * zr[i] * near * _beside(zb[i], sb[i], sector)
         c, s = math.cos(zb[i] + sector.heading_rad), math.sin(zb[i] + sector.heading_rad)
         state[i, 0], state[i, 1] = sector.north_m + zr[i] * c, sector.east_m + zr[i] * s
         state[i, 2], state[i, 3] = births.velocity_mps

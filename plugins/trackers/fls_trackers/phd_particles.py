@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from fls_flow.kernels import compiled
 from fls_trackers.phd_existence import MOST_CERTAIN
-from fls_trackers.phd_sector import Measurements, Sector
+from fls_trackers.phd_sector import Measurements, Sector, sees, within_half_turn
 
 __all__ = ["Update", "propagated", "resampled", "updated", "updated_by_label"]
 
@@ -46,7 +46,7 @@ def propagated(
     Source: Clark & Bell 2005 (10), (14) and step 5.
     """
     acceleration = sigma_v_mps2 * rng.standard_normal((weight.size, 2))
-    anywhere = Sector(0.0, math.inf, -math.inf, math.inf)
+    anywhere = Sector(0.0, math.inf, -math.pi, math.pi)
     known = sector is not None
     moved: tuple[FloatArray, FloatArray] = _propagated(
         state, weight, dt_s, acceleration, p_s if known else 1.0, sector if sector is not None else anywhere
@@ -61,8 +61,7 @@ def _propagated(
     x, w = np.empty_like(state), np.empty_like(weight)
     for s in range(weight.size):
         px, py = state[s, 0] + dt * state[s, 2], state[s, 1] + dt * state[s, 3]
-        r, b = _polar(px, py, sector)
-        w[s] = p_s * weight[s] if _sees(sector, r, b) else 0.0
+        w[s] = p_s * weight[s] if sees(px, py, sector)[2] else 0.0
         x[s, 0] = px + 0.5 * dt * dt * acceleration[s, 0]
         x[s, 1] = py + 0.5 * dt * dt * acceleration[s, 1]
         x[s, 2] = state[s, 2] + dt * acceleration[s, 0]
@@ -127,8 +126,8 @@ def _updated(
     n, m = weight.size, zr.size
     r, b, detected, missed = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for s in range(n):
-        r[s], b[s] = _polar(state[s, 0], state[s, 1], sector)
-        p = p_d if _sees(sector, r[s], b[s]) else 0.0
+        r[s], b[s], seen = sees(state[s, 0], state[s, 1], sector)
+        p = p_d if seen else 0.0
         detected[s] = p * weight[s]
         missed[s] = (1.0 - p) * weight[s]
     w, taken, mean = missed.copy(), np.zeros(m), np.full((m, 4), np.nan)
@@ -169,7 +168,7 @@ def _parts(
         dr = r[s] - zr
         if abs(dr) > reach:
             continue
-        db = _wrapped(b[s] - zb)
+        db = within_half_turn(b[s] - zb, 0.0)
         if abs(db) > GATE_SD * sb:
             continue
         u, v = dr / sr, db / sb
@@ -218,26 +217,3 @@ def _systematic(weight: FloatArray, n: int, u: float) -> IntArray:
         while weight[drawn[k]] == 0.0 and drawn[k] > 0:
             drawn[k] -= 1
     return drawn
-
-
-@compiled
-def _polar(x: float, y: float, sector: Sector) -> tuple[float, float]:
-    dx, dy = x - sector.north_m, y - sector.east_m
-    return math.hypot(dx, dy), _wrapped(math.atan2(dy, dx) - sector.heading_rad)
-
-
-@compiled
-def _wrapped(angle: float) -> float:
-    while angle > math.pi:
-        angle -= 2.0 * math.pi
-    while angle <= -math.pi:
-        angle += 2.0 * math.pi
-    return angle
-
-
-@compiled
-def _sees(sector: Sector, r: float, b: float) -> bool:
-    return (
-        sector.range_min_m <= r <= sector.range_max_m
-        and sector.bearing_min_rad <= b <= sector.bearing_max_rad
-    )

@@ -10,19 +10,34 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_flow import Detections, View
-from fls_flow.geometry import Pose, sensor_pose, to_polar
+from fls_flow.geometry import Pose, sensor_pose, wrap
+from fls_flow.kernels import compiled
 from fls_trackers.phd_settings import PhdSettings
 
-__all__ = ["Births", "Measurements", "Sector", "births_of", "measurements_of", "pose_of", "sector_of"]
+__all__ = [
+    "Births",
+    "Measurements",
+    "Sector",
+    "births_of",
+    "measurements_of",
+    "pose_of",
+    "sector_of",
+    "sees",
+    "within_half_turn",
+]
 
 FloatArray = npt.NDArray[np.float64]
+FULL_TURN_RAD = 2.0 * math.pi - 1e-6  # a sector at least so wide is all round
 LEAST_UNSEEN = 1e-3  # part of the prior below which it is forgotten
 UNKNOWN_CELL_M = 0.25
 UNKNOWN_SPACING_RAD = math.radians(0.5)
 
 
 class Sector(NamedTuple):
-    """What the sonar sees, and from where; numbers alone, so that kernels take it."""
+    """What the sonar sees, and from where; numbers alone, so that kernels take it.
+
+    Its bearings count on from border to border, so that a sector astern, or one all round, has no seam.
+    """
 
     range_min_m: float
     range_max_m: float
@@ -49,9 +64,21 @@ class Sector(NamedTuple):
 
     def holds(self, position_m: FloatArray) -> npt.NDArray[np.bool_]:
         """Which positions (n, 2) in the frame of the targets lie inside."""
-        r, b = to_polar(self.pose.to_sensor(position_m))
-        inside: npt.NDArray[np.bool_] = (r >= self.range_min_m) & (r <= self.range_max_m)
-        return inside & (b >= self.bearing_min_rad) & (b <= self.bearing_max_rad)
+        xy = self.pose.to_sensor(position_m)
+        return self.spans(np.hypot(xy[:, 0], xy[:, 1]), self.bearings(np.arctan2(xy[:, 1], xy[:, 0])))
+
+    def spans(self, range_m: FloatArray, bearing_rad: FloatArray) -> npt.NDArray[np.bool_]:
+        """Which polar positions (n,) lie inside; bearings as `bearings` gives them."""
+        inside: npt.NDArray[np.bool_] = (range_m >= self.range_min_m) & (range_m <= self.range_max_m)
+        if self.width_rad > FULL_TURN_RAD:
+            return inside
+        return inside & (bearing_rad >= self.bearing_min_rad) & (bearing_rad <= self.bearing_max_rad)
+
+    def bearings(self, angle_rad: FloatArray) -> FloatArray:
+        """The angles (n,), sensor frame, at most half a turn from the sector's middle."""
+        middle = 0.5 * (self.bearing_min_rad + self.bearing_max_rad)
+        off = angle_rad - middle
+        return np.where(np.abs(off) <= np.pi, angle_rad, middle + wrap(off))
 
     @property
     def pose(self) -> Pose:
@@ -126,18 +153,20 @@ def pose_of(view: View, settings: PhdSettings) -> Pose | None:
 
 
 def sector_of(view: View) -> Sector | None:
-    """The sector from the outer edges of its cells, sensor frame; None of a view that shows nothing."""
+    """The sector from the outer edges of its cells, sensor frame; None of a view that shows nothing.
+
+    Beams all round make it a full turn, whatever the spacing.
+    """
     if not view.bearing_rad.size or not view.range_max_m > view.range_min_m:
         return None
     spacing = view.beam_spacing_rad
     half_beam = 0.5 * spacing if spacing > 0.0 else 0.5 * UNKNOWN_SPACING_RAD
     half_cell = 0.5 * view.cell_m if view.cell_m > 0.0 else 0.0
-    return Sector(
-        max(0.0, view.range_min_m - half_cell),
-        view.range_max_m + half_cell,
-        float(view.bearing_rad.min()) - half_beam,
-        float(view.bearing_rad.max()) + half_beam,
-    )
+    table = np.unwrap(view.bearing_rad)  # it may jump from pi to -pi
+    low, high = float(table.min()) - half_beam, float(table.max()) + half_beam
+    if high - low > FULL_TURN_RAD:
+        low, high = 0.5 * (low + high) - np.pi, 0.5 * (low + high) + np.pi
+    return Sector(max(0.0, view.range_min_m - half_cell), view.range_max_m + half_cell, low, high)
 
 
 def measurements_of(detections: Detections, settings: PhdSettings, sector: Sector | None) -> Measurements:
@@ -155,13 +184,12 @@ def measurements_of(detections: Detections, settings: PhdSettings, sector: Secto
             f"{detections.bearing_rad[first]} rad"
         )
     if sector is not None:
-        inside = (detections.range_m >= sector.range_min_m) & (detections.range_m <= sector.range_max_m)
-        inside &= detections.bearing_rad >= sector.bearing_min_rad
-        inside &= detections.bearing_rad <= sector.bearing_max_rad
+        inside = sector.spans(detections.range_m, sector.bearings(detections.bearing_rad))
         if not inside.all():
             detections = detections.select(inside)
     range_sd, bearing_sd = _noise(detections, settings)
-    return Measurements(detections.range_m.copy(), detections.bearing_rad.copy(), range_sd, bearing_sd)
+    bearing = detections.bearing_rad.copy() if sector is None else sector.bearings(detections.bearing_rad)
+    return Measurements(detections.range_m.copy(), bearing, range_sd, bearing_sd)
 
 
 def _noise(detections: Detections, settings: PhdSettings) -> tuple[FloatArray, FloatArray]:
@@ -185,7 +213,7 @@ def _own(variance: FloatArray, otherwise: float) -> tuple[FloatArray, bool]:
 
 
 def births_of(view: View, sector: Sector, range_sd_m: float, dt_s: float, settings: PhdSettings) -> Births:
-    """The births of one ping; the far end is as deep as max(v dt, 3 sigma) unless its depth is set.
+    """The births of one ping; unless set, the far end is as deep as max((|v| + 2 speed sd) dt, 3 sigma).
 
     Source: Clark & Bell 2005, step 5 and section III; the depth as in ALGORITHMS, section 4.
     """
@@ -200,3 +228,24 @@ def births_of(view: View, sector: Sector, range_sd_m: float, dt_s: float, settin
         depth = settings.birth_depth_m or max(reach, 3.0 * range_sd_m)
         near = max(near, sector.range_max_m - depth)
     return Births(settings.p_b, near, sector.range_max_m, velocity, settings.speed_sd_mps)
+
+
+@compiled
+def within_half_turn(angle: float, middle: float) -> float:
+    """The same angle, at most half a turn from `middle`."""
+    while angle - middle > math.pi:
+        angle -= 2.0 * math.pi
+    while angle - middle <= -math.pi:
+        angle += 2.0 * math.pi
+    return angle
+
+
+@compiled
+def sees(x: float, y: float, sector: Sector) -> tuple[float, float, bool]:
+    """Range and bearing of a place in the frame of the targets, and whether it lies in the sector."""
+    dx, dy = x - sector.north_m, y - sector.east_m
+    low, high = sector.bearing_min_rad, sector.bearing_max_rad
+    r = math.hypot(dx, dy)
+    b = within_half_turn(math.atan2(dy, dx) - sector.heading_rad, 0.5 * (low + high))
+    beside = low <= b <= high or high - low > FULL_TURN_RAD
+    return r, b, beside and sector.range_min_m <= r <= sector.range_max_m
