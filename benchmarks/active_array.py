@@ -10,10 +10,11 @@ and farthest range; false tracks at more than 2 m of the target's range, those o
 the windows of all runs to 160 m. The chains and their settings are those of graphs/active_array*.yaml; of
 three of them `pfa` is varied, over all its values only at the strengths `--every-pfa-at`, elsewhere without
 the largest, which costs most. With `--log` a run that was broken off goes on where it was, and that of a
-finished one is drawn again (`--seeds 0` draws what there is). SCR is per cell after beamforming. Scores are
-`fls_flow.evaluate`'s with a gate of --gate-m; a correlation of n means that clutter keeps exp(-1 / n) of its
-amplitude from ping to ping. Velocity errors are of confirmed tracks in the gate, from the 32nd ping on, along
-and across the line of sight. The picture shows continuity over false tracks, a point per `pfa`.
+finished one is drawn again (`--seeds 0` draws what there is). SCR is per cell after beamforming; the tables
+say what it is before compression. Scores are `fls_flow.evaluate`'s with a gate of --gate-m; a correlation of
+n means that clutter keeps exp(-1 / n) of its amplitude from ping to ping. Velocity errors are of confirmed
+tracks in the gate, from the 32nd ping on, along and across the line of sight. The picture shows continuity
+over false tracks, a point per `pfa`.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from benchmarks.active_array_chains import CHAINS, Chain, SharedHits, chains
-from benchmarks.active_array_images import Images
+from benchmarks.active_array_images import Images, scene
 from benchmarks.active_array_times import stage_times
 from fls_flow import Tracks, TrackStatus, Truth
 from fls_flow.evaluate import Settings, score
@@ -88,8 +89,8 @@ def those_beside(tracks: Sequence[Tracks], truth: Sequence[Truth]) -> list[int]:
     """The ids of confirmed tracks that keep to the target's range, as those of its lobes do."""
     off: dict[int, list[float]] = defaultdict(list)
     for one, true in zip(tracks, truth, strict=True):
-        sure = one.select(one.status == TrackStatus.CONFIRMED)
-        apart = np.abs(np.hypot(*sure.state[:, :2].T) - np.hypot(*true.state[0, :2]))
+        sure = one.select((one.status == TrackStatus.CONFIRMED) & (len(true) > 0))
+        apart = np.abs(np.hypot(*sure.state[:, :2].T) - np.hypot(*true.state[:1, :2].T))
         for i, metres in zip(sure.id.tolist(), apart.tolist(), strict=True):
             off[i].append(metres)
     return [i for i, metres in off.items() if np.mean(metres) <= BESIDE_M]
@@ -179,7 +180,13 @@ def table(results: Results, options: argparse.Namespace, correlation: float) -> 
     kind = "white clutter" if correlation == 0 else f"clutter correlated over {correlation:g} pings"
     counts = [len(runs) for key, runs in results.items() if key[2] == correlation and runs]
     seeds = f"{min(counts)} to {max(counts)}" if min(counts) < max(counts) else f"{counts[0]}"
-    shown = Table(title=f"{kind}, {seeds} seeds, {options.pings} pings: mean continuity / mean false tracks")
+    before = ", ".join(
+        f"{scene(0, correlation, scr, 1).scr_before_compression_db:.0f}" for scr in options.scr
+    )
+    shown = Table(
+        title=f"{kind}, {seeds} seeds, {options.pings} pings: mean continuity / mean false tracks",
+        caption=f"SCR is per cell after beamforming; in a channel before compression it is {before} dB",
+    )
     shown.add_column("chain")
     shown.add_column("pfa", justify="right")
     for scr in options.scr:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from fls_beamformers.delay_and_sum import DelayAndSum
-from fls_beamformers.layout import Layout
+from fls_beamformers.layout import Layout, Settings
 from fls_beamformers.pulse_compression import PulseCompression
 from fls_beamformers.steering import FineSamples, delay_and_sum, fine_samples
 from fls_flow import HydrophoneBlock, Ping, Truth
@@ -89,7 +89,7 @@ class Images:
 
     def _place(self, quiet: HydrophoneBlock, echo: HydrophoneBlock, truth: Truth, pulse_s: float) -> Place:
         block = self._compression(quiet)
-        layout = self._layout = Layout.known(self._layout, self._beams._settings(), block)
+        layout = self._layout = Layout.known(self._layout, Settings.of(self._beams), block)
         clutter, target = (
             fine_samples(*layout.baseband(one, self._beams.precision), layout.grid, layout.guard_s)
             for one in (block, self._compression(echo))
@@ -97,9 +97,10 @@ class Images:
         steering, count = layout.steering(clutter), layout.grid.count
         empty = delay_and_sum(clutter, steering, count)
         reach_m = 0.5 * layout.sound_speed_mps * pulse_s + MARGIN_M
-        low, high = np.searchsorted(
-            layout.range_m, np.hypot(*truth.state[0, :2]) + np.array([-reach_m, reach_m])
-        ).tolist()
+        reach = np.array([-reach_m, reach_m])
+        low, high = 0, 0  # the target may have left the window
+        for place in truth.state[:, :2]:
+            low, high = np.searchsorted(layout.range_m, np.hypot(*place) + reach).tolist()
         near = replace(steering, zone_start=np.clip(steering.zone_start, low, high))
         images = []
         for scr_db in self.scr_db:

@@ -11,6 +11,7 @@ from fls_beamformers.capon import fls_node as capon_node
 from fls_beamformers.delay_and_sum import DelayAndSum
 from fls_beamformers.delay_and_sum import fls_node as delay_and_sum_node
 from fls_beamformers.grid import Beams, CellGrid, arrival_delays_s, focus_zones
+from fls_beamformers.layout import Settings
 from fls_beamformers.messages import CompressedBlock
 from fls_beamformers.mvdr import minimum_variance, smoothed_covariance
 from fls_beamformers.pattern import ambiguity_pattern, main_lobe_width_rad
@@ -249,7 +250,7 @@ def test_a_pattern_is_one_at_the_source_and_symmetric() -> None:
 
 
 def test_a_full_turn_of_bearings_has_each_once() -> None:
-    beams = DelayAndSum()._settings().beams()
+    beams = Settings.of(DelayAndSum()).beams()
     bearings = beams.bearing_rad
     assert bearings.size == 360
     assert_allclose(np.rad2deg(bearings[[0, 179, 359]]), [-179.0, 0.0, 180.0])

@@ -74,6 +74,21 @@ def test_kernel_equals_the_definition(dtype, shape):
             assert_array_equal(rayleigh_hits(amplitude, w, pfa=1e-2, floor=case % 2, flags=f), expected)
 
 
+@pytest.mark.parametrize("levels", [0, 1, 2, 3, 4, 5])
+def test_windows_of_any_depth_over_several_chunks(levels):
+    rng = np.random.default_rng(levels)
+    amplitude = rng.rayleigh(1.0, (400, 3)).astype(np.float32)
+    flags = rng.choice([TEST, BOTH], p=[0.2, 0.8], size=amplitude.shape).astype(np.uint8)
+    window = Window(1, 1 + levels % 2, levels, 1, 0)
+    for given in (NO_FLAGS, flags):
+        expected = slow_hits(amplitude, window, 0.05, 4, flags=given if given.size else None)
+        assert expected.any()
+        assert_array_equal(rayleigh_hits(amplitude, window, pfa=0.05, min_ref=4, flags=given), expected)
+    wide = rng.rayleigh(1.0, (200, 100)).astype(np.float32)  # more rows than enter at once
+    expected = slow_hits(wide, window, 0.01, 4)
+    assert_array_equal(rayleigh_hits(wide, window, pfa=0.01, min_ref=4), expected)
+
+
 def test_more_reference_cells_than_a_byte_counts():
     rng = np.random.default_rng(4)
     amplitude = rng.rayleigh(1.0, (180, 7)).astype(np.float32)

@@ -89,6 +89,15 @@ def test_a_disc_narrower_than_the_beams_is_not_lost_between_them():
     assert_allclose([RANGE_M[rows].min(), RANGE_M[rows].max()], [54.5, 55.5], atol=0.11)
 
 
+def test_every_cell_whose_centre_lies_in_a_shape_is_marked_however_wide_the_beams():
+    rng = np.random.default_rng(2)
+    half_width = 0.5 * np.deg2rad(0.5)
+    for _ in range(20):
+        apex, orientation = (rng.uniform(5, 60), rng.uniform(-20, 20)), rng.uniform(-np.pi, np.pi)
+        marked = mark_wedge(apex, orientation, 15.0, np.deg2rad(10.0), half_width=half_width)
+        assert not (inside_wedge(apex, orientation, 15.0, np.deg2rad(10.0)) & ~marked).any()
+
+
 def test_shapes_behind_the_sonar_or_out_of_range_mark_nothing():
     for apex in ((-30.0, 0.0), (200.0, 0.0), (0.0, 60.0)):
         assert not mark_wedge(apex, 0.0, 5.0, 0.2).any()

@@ -157,6 +157,13 @@ def test_integers_that_hardly_differ_stay_silent_and_an_echo_in_them_is_heard(ma
     assert len(LogCfar()(make_ping(np.zeros((500, 39), np.float32)))) == 0
 
 
+@pytest.mark.parametrize(("level", "dtype"), [(7, np.uint16), (255, np.uint8), (0.3, np.float32)])
+def test_an_image_of_one_level_is_silent(make_ping, level, dtype):
+    amplitude = np.full((300, 20), level, dtype)
+    assert len(LogCfar()(make_ping(amplitude))) == 0
+    assert not log_hits(amplitude, FAR, pfa=1e-3).any()
+
+
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (5, 0), (1, 1), (2, 3)])
 def test_small_images(shape):
     ones = np.ones(shape, np.float32)

@@ -45,7 +45,7 @@ def test_false_alarms_come_at_the_rate_that_a_finite_memory_gives(make_ping, rat
     assert_allclose(np.sum(count) / (60 * 100 * 50), expected, rtol=0.1)
 
 
-def slow_reference(images, tau, rate, warm, floor, event_rate=None):
+def slow_reference(images, tau, rate, warm, floor, event_rate=None, early=None):
     """The recursion as it is written, one cell after the other."""
     mean, variance = images[0].astype(np.float64), np.zeros(images[0].shape)
     hits, heights = [], []
@@ -58,7 +58,8 @@ def slow_reference(images, tau, rate, warm, floor, event_rate=None):
             sd = max(np.sqrt(variance[i, j]), floor)
             hit[i, j] = k >= warm and d > tau * sd
             height[i, j] = max(d, 0.0) if k >= warm else 0.0
-            slow = hit[i, j] and event_rate is not None
+            rises = hit[i, j] or (early is not None and early <= k < warm and d > 2.0 * tau * sd)
+            slow = rises and event_rate is not None
             mean[i, j] += (min(a, event_rate) if slow else a) * d
             variance[i, j] += (0.0 if slow else a) * (d * d - variance[i, j])
         hits.append(hit)
@@ -67,12 +68,16 @@ def slow_reference(images, tau, rate, warm, floor, event_rate=None):
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-@pytest.mark.parametrize("event_rate", [None, 0.01])
-def test_equals_a_slow_reference(make_ping, dtype, event_rate):
+@pytest.mark.parametrize(
+    ("event_rate", "warm", "early"), [(None, 5, None), (0.01, 5, None), (0.01, 20, 4), (None, 20, 4)]
+)
+def test_equals_a_slow_reference(make_ping, dtype, event_rate, warm, early):
     rng = np.random.default_rng(3)
     images = [np.round(30 * np.sqrt(rng.exponential(size=(12, 7)))).astype(dtype) for _ in range(60)]
-    node = TemporalCfar(threshold=1.5, warm_up_pings=5, floor=0.5, event_rate=event_rate)
-    hits, heights = slow_reference(images, 1.5, 0.05, 5, 0.5, event_rate)
+    node = TemporalCfar(
+        threshold=1.5, warm_up_pings=warm, floor=0.5, event_rate=event_rate, early_pings=early
+    )
+    hits, heights = slow_reference(images, 1.5, 0.05, warm, 0.5, event_rate, early)
     for image, hit, height in zip(images, hits, heights, strict=True):
         ping = make_ping(image)
         found = node(ping)
@@ -108,6 +113,21 @@ def test_a_rise_is_detected_and_a_drop_is_not(make_ping):
     assert_allclose(found.detections.amplitude, 150.0)
     assert found.foreground.amplitude[40, 10] == 0.0
     assert_allclose(found.foreground.amplitude[20, 10], 150.0 - 17.7, atol=6.0)
+
+
+@pytest.mark.parametrize(("early", "least"), [(None, 0.0), (8, 0.9)])
+def test_who_swims_through_the_warm_up_is_whole_afterwards(make_ping, early, least):
+    """A body of 20 cells that moves on by one cell a ping: how much of it stands out of the background."""
+    node = TemporalCfar(rate=0.005, event_rate=0.001, warm_up_pings=30, early_pings=early)
+    rng, seen = np.random.default_rng(4), []
+    for k in range(40):
+        image = np.sqrt(rng.exponential(size=(80, 9))).astype(np.float32)
+        image[k : k + 20, 3:6] = 30.0
+        height = node(make_ping(image)).foreground.amplitude
+        if k >= 30:
+            seen.append((height[k : k + 20, 3:6] > 25.0).mean())
+    assert min(seen) >= least
+    assert early is not None or max(seen) < 0.8
 
 
 @pytest.mark.parametrize(("event_rate", "least", "most"), [(None, 1, 10), (0.001, 200, 201)])
@@ -157,6 +177,38 @@ def test_cells_without_data_are_no_events_and_leave_the_background_alone(make_pi
     assert np.isfinite(found.foreground.amplitude).all()
     assert_array_equal(node.snapshot()["mean"][:, :10], before[:, :10])
     assert_array_equal(node.snapshot()["mean"][:3, 11], before[:3, 11])
+
+
+@pytest.mark.parametrize("hidden", ["nan", "masked"])
+def test_a_sector_that_opens_later_has_its_own_warm_up_and_learns_as_well_as_the_rest(make_ping, hidden):
+    node = TemporalCfar(pfa=1e-2, warm_up_pings=20, max_detections=100_000)
+    opened, rates = 40, {"open": [], "late": []}
+    for k, ping in enumerate(rayleigh(make_ping, 140, shape=(100, 40))):
+        seen = np.ones(ping.amplitude.shape, bool)
+        seen[:, 20:] = k >= opened
+        if hidden == "nan":
+            ping = make_ping(np.where(seen, ping.amplitude, np.nan))
+        else:
+            ping = make_ping(ping.amplitude, valid=seen)
+        found = node(ping).detections.bearing_rad
+        late = np.count_nonzero(found >= ping.bearing_rad[20])
+        if k < opened + 20:
+            assert late == 0
+        else:
+            rates["late"].append(late)
+            rates["open"].append(len(found) - late)
+    assert_allclose(np.mean(rates["late"]), np.mean(rates["open"]), rtol=0.1)
+
+
+def test_cells_that_never_have_data_cost_nothing_of_the_others(make_ping):
+    pings = rayleigh(make_ping, 30, shape=(60, 20))
+    seen = np.ones((60, 20), bool)
+    seen[:, 15:] = False
+    whole, part = (TemporalCfar(pfa=1e-2, warm_up_pings=5) for _ in range(2))
+    for ping in pings:
+        expected, found = whole(ping).detections, part(make_ping(ping.amplitude, valid=seen)).detections
+        within = expected.bearing_rad < ping.bearing_rad[15]
+        assert_array_equal(found.range_m, expected.range_m[within])
 
 
 def test_whole_numbers_must_rise_by_more_than_threshold_steps(make_ping):
@@ -264,8 +316,11 @@ def test_two_objects_that_touch_are_two_around_their_brightest_cells(make_ping):
     assert_allclose(np.square(parted.amplitude).sum(), np.square(image, dtype=float).sum(), rtol=1e-5)
 
 
-@pytest.mark.parametrize(("share", "left"), [(0.2, 1), (0.0, 2)])
-def test_what_stays_in_place_fades_and_what_moves_does_not(make_ping, share, left):
+@pytest.mark.parametrize(
+    ("fresh", "recent", "left", "least", "most"),
+    [(0.2, 1.0, 1, 0.0, 0.1), (0.0, 1.0, 2, 0.0, 0.1), (0.2, 0.75, 2, 0.2, 0.4)],
+)
+def test_what_stays_in_place_fades_and_what_moves_does_not(make_ping, fresh, recent, left, least, most):
     def at(k):
         image = np.zeros((400, 39), np.float32)
         image[100:120, 10:13] = 20.0  # stays
@@ -277,7 +332,8 @@ def test_what_stays_in_place_fades_and_what_moves_does_not(make_ping, share, lef
         "min_cells": 20,
         "strength": "energy",
         "event_rate": 0.0,
-        "fresh_share": share,
+        "fresh_share": fresh,
+        "recent_share": recent,
     }
     node = TemporalCfar(warm_up_pings=2, recent_rate=0.15, recent_cells=(2.0, 1.0), **settings)
     found = after_silence(make_ping, node, [at(k) for k in range(40)])
@@ -289,7 +345,8 @@ def test_what_stays_in_place_fades_and_what_moves_does_not(make_ping, share, lef
     middle = 2.0 + 0.05 * (100 + 4 * 39 + 9.5)
     assert_allclose(last.range_m[swims], middle, atol=0.5)
     assert last.amplitude[swims] > 0.6 * found[0].amplitude[1]
-    assert np.all(last.amplitude[~swims] < 0.1 * last.amplitude[swims])
+    assert np.all(last.amplitude[~swims] < most * last.amplitude[swims])
+    assert np.all(last.amplitude[~swims] > least * last.amplitude[swims])
 
 
 def test_the_recent_past_is_forgotten_when_the_geometry_changes(make_ping):
@@ -315,6 +372,7 @@ def test_the_recent_past_is_forgotten_when_the_geometry_changes(make_ping):
         ({"variance_rate": 1.0}, "variance_rate is 1.0"),
         ({"event_rate": -0.1}, "event_rate is -0.1"),
         ({"warm_up_pings": 1}, "warm_up_pings is 1"),
+        ({"early_pings": 1}, "early_pings is 1"),
         ({"floor": -1.0}, "floor is -1.0"),
         ({"max_detections": 0}, "max_detections is 0"),
         ({"link_m": -1.0}, "link_m is -1.0"),
@@ -327,6 +385,7 @@ def test_the_recent_past_is_forgotten_when_the_geometry_changes(make_ping):
         ({"recent_rate": 0.0}, "recent_rate is 0.0"),
         ({"recent_rate": 1.5}, "recent_rate is 1.5"),
         ({"fresh_share": -0.1}, "fresh_share is -0.1"),
+        ({"recent_share": 1.1}, "recent_share is 1.1"),
     ],
 )
 def test_bad_parameters_are_named(parameters, complaint):

@@ -15,10 +15,21 @@ from fls_flow.testing import check_node
 from fls_trackers.multi_ping_integration import CAUTION, MultiPingIntegration
 from fls_trackers.tbd_bank import LEAD, Bank, Rules
 from fls_trackers.tbd_births import LAGS, Past, Peaks, born, fresh_scouts
+from fls_trackers.tbd_evidence import EDGE, halves, wholes
 from fls_trackers.tbd_grid import Grid, Motion
+from fls_trackers.tbd_hypotheses import SWITCH, rival, weighed
 from fls_trackers.tbd_ratio import NO_PLANE, candidates, encoded, power_correlation, ratio_map, ratio_table
-from fls_trackers.tbd_scouts import COLUMNS, SCORE, best_of_cells, followed, predicted
-from fls_trackers.tbd_tables import excess_table
+from fls_trackers.tbd_scouts import (
+    COLUMNS,
+    SCORE,
+    SIGMA,
+    best_of_cells,
+    by_range,
+    followed,
+    predicted,
+    with_agile,
+)
+from fls_trackers.tbd_tables import excess_table, tables_of
 from fls_trackers.tbd_tracks import cartesian, first_bearings, likeliest_bearing, spread_bearings
 
 FloatArray = npt.NDArray[np.float64]
@@ -199,6 +210,25 @@ def test_what_a_power_is_worth_after_another_is_what_monte_carlo_says():
             assert ratios.min() * 0.9 < with_it[i] / without[i] < ratios.max() * 1.1
 
 
+def test_ratios_by_code_are_those_by_power():
+    tables = tables_of(3.0, 64.0, 7.0, 0.0)
+    code, decoded = encoded(tables.weakest)
+    assert np.log(tables.decoded[2]) == pytest.approx(np.log(decoded), abs=0.05)  # 3 dB: the same table
+    u = np.arange(0, 12 * 32)
+    for level in (4, 6):
+        exact = np.minimum(np.log(tables.levels[level, u]), 7.0)
+        assert np.abs(np.log(tables.decoded[level, code[u]]) - exact).max() < 0.1
+        assert np.diff(tables.decoded[level]).min() >= 0.0
+
+
+def test_in_clutter_that_persists_all_tracks_are_scored_alike():
+    # Powers there are equivalents for one strength of target; for another their ratio is not known.
+    white, correlated = tables_of(3.0, 64.0, 7.0, 0.0), tables_of(3.0, 64.0, 7.0, 0.5)
+    assert np.ptp(white.levels, axis=0).max() > 1.0
+    assert np.ptp(correlated.levels, axis=0).max() == 0.0
+    assert np.ptp(correlated.decoded, axis=0).max() == 0.0
+
+
 def test_candidates_are_local_maxima_in_order():
     power = np.zeros((20, 10), np.float32)
     power[5, 9], power[5, 0], power[8, 4], power[12, 4], power[13, 4] = 5.0, 6.0, 7.0, 3.0, 9.0
@@ -238,6 +268,26 @@ def test_own_motion_moves_what_stands_still():
     assert moved[0, 5] == pytest.approx(float(b) - 0.1)
 
 
+@pytest.mark.parametrize("closed", [True, False])
+def test_half_cells_and_beams_lie_between_those_around(closed: bool):
+    rng = np.random.default_rng(16)
+    code = rng.integers(0, 256, (9, 7)).astype(np.uint8)
+    code[:, 2:5] = 100  # where nothing changes, nothing does in between
+    half = halves(code, closed)
+    assert half.shape == (17, 14 + 2 * EDGE)
+    assert np.array_equal(wholes(half), code)
+    assert half[7, EDGE + 6] == 100
+    a, b, c, d = code[3:7, 0].astype(float)
+    assert half[9, EDGE] == math.floor(np.clip(0.5625 * (b + c) - 0.0625 * (a + d), 0, 255) + 0.5)
+    a, b, c, d = code[4, [6, 0, 1, 2] if closed else [0, 0, 1, 2]].astype(float)
+    assert half[8, EDGE + 1] == math.floor(np.clip(0.5625 * (b + c) - 0.0625 * (a + d), 0, 255) + 0.5)
+    around = np.arange(-EDGE, 14 + EDGE)
+    if closed:
+        assert np.array_equal(half, half[:, EDGE + around % 14])
+    else:
+        assert np.array_equal(half[:, : EDGE - 2], np.repeat(half[:, EDGE, None], EDGE - 2, axis=1))
+
+
 @pytest.mark.parametrize(("closed", "sign"), [(True, 1.0), (False, 1.0), (True, -1.0)])
 def test_a_scout_is_scored_by_bayes_rule(closed: bool, sign: float):
     # The same sum over half cells and half beams, interpolated all over the plane.
@@ -246,7 +296,7 @@ def test_a_scout_is_scored_by_bayes_rule(closed: bool, sign: float):
     code = rng.integers(60, 200, (700, 360)).astype(np.uint8)
     decoded = encoded(ratio_table(2.0, 64.0, 7.0))[1]
     one = scout()
-    got = followed(one, code, decoded, grid, NOW)[0]
+    got = followed(one, halves(code, closed), decoded, grid, NOW)[0]
     cubic = np.array([-1.0, 9.0, 9.0, -1.0]) / 16.0
     fine = np.zeros((1399, 719))
     fine[::2, ::2] = code
@@ -277,7 +327,7 @@ def test_what_a_ping_says_is_a_kalman_update_whatever_the_prior(sd_r: float, sd_
     one = scout()
     one[0, 2:5] = sd_r**2, 0.0, 1e-4
     one[0, 7:10] = sd_b**2, 0.0, 1e-6
-    got = followed(one, code, decoded, GRID, NOW)[0]
+    got = followed(one, halves(code, True), decoded, GRID, NOW)[0]
     for mean, variance, prior, p, measured, noise in (
         (got[0], got[2], 70.0, sd_r**2, place[0], sd[0] ** 2),
         (got[5], got[7], 0.5, sd_b**2, place[1], sd[1] ** 2),
@@ -299,7 +349,7 @@ def test_a_past_ping_says_where_the_scout_is_now():
     r, b = to_polar(np.array([[c, -n], [n, c]]) @ then + [2.0, -1.0])
     row, beam = round((r - NEAR_M) / 0.038), round((b - GRID.first_rad) / GRID.beam_rad)
     code[row, beam] = 255
-    got = followed(one, code, decoded, GRID, since)[0]
+    got = followed(one, halves(code, True), decoded, GRID, since)[0]
     off = NEAR_M + 0.038 * row - r
     H, P = np.array([1.0, -3.0]), np.array([[0.02**2, 0.0005], [0.0005, 0.05**2]])
     gain = P @ H / (H @ P @ H)
@@ -311,7 +361,7 @@ def test_a_past_ping_says_where_the_scout_is_now():
     assert H @ gone @ H > 0.9 * (H @ P @ H)
     assert got[SCORE] > 2.0
     elsewhere = np.roll(code, 40, axis=0)
-    assert followed(one, elsewhere, decoded, GRID, since)[0, SCORE] < -10.0
+    assert followed(one, halves(elsewhere, True), decoded, GRID, since)[0, SCORE] < -10.0
 
 
 def test_a_path_is_found_from_any_pair_of_its_peaks_with_all_that_came_before():
@@ -323,7 +373,7 @@ def test_a_path_is_found_from_any_pair_of_its_peaks_with_all_that_came_before():
     for lag, (r, b) in enumerate(places[1:], 1):
         code = np.zeros((700, 360), np.uint8)
         code[r - 1 : r + 2, b - 2 : b + 3] = 255
-        past.append(Past(0, (0.0, 0.0, 0.0), code, peaks[lag] if lag == 2 else nothing))
+        past.append(Past(0, (0.0, 0.0, 0.0), halves(code, True), peaks[lag] if lag == 2 else nothing))
         since.append(STILL._replace(dt_s=float(lag)))
     found = fresh_scouts(peaks[0], past, since, decoded, GRID, 1000)
     assert len(found) == 1
@@ -346,7 +396,7 @@ def test_of_too_many_pairs_the_better_are_left():
 
 
 def test_a_scout_takes_the_place_of_a_much_worse_tentative_track_only():
-    rules = Rules(10.0, 17.0, 15.0, 1.5, 10, 2.0)
+    rules = Rules(10.0, 17.0, 15.0, 1.5, 10, 2.0, (0.005, 0.03))
 
     def begun(*scores: float) -> Bank:
         bank = Bank()
@@ -364,7 +414,7 @@ def test_a_scout_takes_the_place_of_a_much_worse_tentative_track_only():
 
 
 def test_a_track_that_goes_astray_is_brought_back_under_its_name():
-    rules, bank = Rules(10.0, 17.0, 15.0, 1.5, 10, 2.0), Bank()
+    rules, bank = Rules(10.0, 17.0, 15.0, 1.5, 10, 2.0, (0.005, 0.03)), Bank()
     start, near, far = scout(70.0), scout(70.5), scout(70.5, bearing=0.8)
     start[0, SCORE], near[0, SCORE], far[0, SCORE] = 20.0, 9.0, 14.0
     bank.begin(start, GRID, rules)
@@ -380,10 +430,78 @@ def test_a_track_that_goes_astray_is_brought_back_under_its_name():
     assert not bank.astray.any()
 
 
+def test_of_two_hypotheses_the_likelier_is_the_path():
+    sigmas = (0.005, 0.03)
+    steady = scout(70.0)
+    steady[0, [SCORE, SIGMA]] = 12.0, sigmas[0]
+    agile, before, doubt = rival(steady, sigmas), steady[:, SCORE], np.full(1, SWITCH)
+    assert rival(agile, sigmas)[0].tolist() == steady[0].tolist()
+    steady[0, SCORE], agile[0, SCORE] = 12.0 + math.log(0.5), 12.0 + math.log(3.0)
+    agile[0, 0] = 70.2
+    probability = SWITCH + SWITCH * (1.0 - 2.0 * SWITCH)
+    path, other, after = weighed(before, steady, agile, doubt)
+    mean = 0.5 * (1.0 - probability) + 3.0 * probability
+    assert path[0, [0, SIGMA]].tolist() == [70.0, sigmas[0]]
+    assert path[0, SCORE] == pytest.approx(12.0 + math.log(mean))
+    assert after[0] == pytest.approx(3.0 * probability / mean)
+    for _ in range(3):  # what speaks for it goes on: it takes over, then the first is given up
+        score = path[:, SCORE].copy()
+        path[0, SCORE] = score[0] + math.log(3.0 if path[0, SIGMA] == sigmas[1] else 0.01)
+        other[0, SCORE] = score[0] + math.log(3.0 if other[0, SIGMA] == sigmas[1] else 0.01)
+        path, other, after = weighed(score, path, other, after)
+    assert path[0, [0, SIGMA]].tolist() == [70.2, sigmas[1]]
+    assert other[0, [0, SIGMA]].tolist() == [70.2, sigmas[0]]
+    assert after[0] == SWITCH
+
+
+def test_two_hypotheses_do_not_raise_scores_in_clutter():
+    # The mean ratio stays one whatever the weights: no more false tracks than with one hypothesis.
+    rng = np.random.default_rng(18)
+    n = 20_000
+    path = np.repeat(scout(), n, axis=0)
+    path[:, SIGMA] = 0.005
+    other, doubt = rival(path, (0.005, 0.03)), np.full(n, SWITCH)
+    for _ in range(5):
+        score = path[:, SCORE].copy()
+        other[:, SCORE] = score
+        for one in (path, other):
+            one[:, SCORE] += rng.normal(-0.125, 0.5, n)  # ln of ratios whose mean is one
+        path, other, doubt = weighed(score, path, other, doubt)
+    assert np.exp(path[:, SCORE]).mean() == pytest.approx(1.0, abs=0.04)
+
+
+def test_a_path_that_leaves_the_ping_stays_the_path():
+    path, doubt = scout(), np.full(1, 0.3)
+    other = rival(path, (0.0, 0.03))
+    path[0, SCORE], other[0, SCORE] = -np.inf, 5.0
+    one, two, after = weighed(np.full(1, 4.0), path, other, doubt)
+    assert (one == path).all()
+    assert (two == other).all()
+    assert (after == doubt).all()
+
+
+def test_good_scouts_may_manoeuvre():
+    scouts = np.concatenate([scout(70.0), scout(71.0), scout(72.0)])
+    scouts[:, SCORE], scouts[:, SIGMA] = [4.0, 6.0, 7.0], [0.005, 0.005, 0.03]
+    more = with_agile(scouts, 0.03, 5.0, math.exp(2.0))
+    assert more[:, 0].tolist() == [70.0, 71.0, 72.0, 71.0]
+    assert more[3, [SCORE, SIGMA]].tolist() == [4.0, 0.03]
+    assert len(best_of_cells(more, GRID, 0.1, 0.0, 10)) == 4  # beside each other
+
+
+def test_the_order_of_scouts_by_range_keeps_each():
+    rng = np.random.default_rng(19)
+    scouts = np.repeat(scout(), 300, axis=0)
+    scouts[:, 0] = rng.uniform(60.0, 90.0, 300)
+    ordered = by_range(scouts)
+    assert sorted(ordered[:, 0]) == sorted(scouts[:, 0])
+    assert (np.diff(ordered[:, 0]) > -0.26).all()
+
+
 def test_a_scout_that_leaves_the_ping_is_out():
     code, decoded = np.zeros((700, 360), np.uint8), np.ones(256, np.float32)
     for place in (NEAR_M - 1.0, NEAR_M + 700 * 0.038 + 1.0):
-        assert np.isneginf(followed(scout(place), code, decoded, GRID, NOW)[0, SCORE])
+        assert np.isneginf(followed(scout(place), halves(code, True), decoded, GRID, NOW)[0, SCORE])
 
 
 def test_pairs_are_those_that_one_target_may_have_made():
@@ -478,6 +596,21 @@ def test_a_track_ends_when_its_target_does():
     assert TrackStatus.CONFIRMED not in statuses[-1]
 
 
+@pytest.mark.parametrize("kind", ["round", "to and fro"])
+def test_a_target_that_manoeuvres_is_one_track(kind: str):
+    # Both accelerate by 0.02 m/s^2, as what goes round at 0.4 m/s in a circle of 8 m does.
+    def place(k: int) -> FloatArray:
+        if kind == "round":
+            return np.array([70.0 + 8.0 * math.sin(0.05 * k), 5.0 + 8.0 * math.cos(0.05 * k)])
+        half, turn = divmod(k, 20)
+        return np.array([72.0 + (-1.0) ** half * 0.01 * turn * (20 - turn), 5.0])
+
+    node = MultiPingIntegration()
+    seen = [confirmed(node(ping)) for ping in Scene(17, 9.0, pings=70)(place)]
+    assert all(one.id.tolist() == [1] for one in seen[25:])
+    assert np.hypot(*(seen[-1].state[0, :2] - place(69))) < 2.0
+
+
 def test_a_track_waits_for_a_target_that_leaves_the_window():
     def cut(ping: Ping, far_m: float) -> Ping:
         keep = ping.range_m < far_m
@@ -541,6 +674,7 @@ def test_the_contract_is_kept():
     "bad",
     [
         {"v_max_mps": 0.0},
+        {"agile_mps2": math.inf},
         {"guard_m": -1.0},
         {"snr_db": math.nan},
         {"max_scouts": 0},

@@ -69,6 +69,14 @@ def test_confirmed_with_more_than_n_blobs_and_lost_after_too_many_misses():
     assert len(after[-1]) == 0
 
 
+@pytest.mark.parametrize("priority", ["none", "score"])
+def test_a_view_without_beams_is_answered(priority: str):
+    view = View(10.0, 300.0, 0.038)
+    tracker = NcvAuction(priority=priority)
+    for k in range(4):
+        assert tracker(replace(blobs(k, 100.0, 0.3), view=view)).seq == k
+
+
 def test_young_tracks_count_their_misses_since_birth():
     tracker = NcvAuction()
     tracker(blobs(0, 100.0, 0.0))

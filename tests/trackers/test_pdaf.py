@@ -677,3 +677,14 @@ def test_one_track_per_diver_for_1200_pings_in_clutter(kind: type[Any], false: f
     assert covered > 0.98 * total
     assert doubled < 0.01 * total
     assert strangers < 0.03 * total
+
+
+@pytest.mark.parametrize("amplitude", [np.nan, np.inf, -np.inf, 1e308])
+def test_amplitudes_that_are_no_sensible_numbers_leave_tracks_finite(amplitude: float) -> None:
+    places = np.array([[10.0, 0.0], [10.1, 0.0], [20.0, 3.0]])
+    for node in (Pdaf(), Nnkf()):
+        for k in range(8):
+            tracks = node(strong(k, places, np.array([amplitude, 2.0, 3.0]), 0.1))
+            assert len(tracks)
+            assert np.isfinite(tracks.state).all()
+            assert np.isfinite(tracks.covariance).all()

@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 
 from fls_flow import Detections
 from fls_flow.geometry import Pose
-from fls_trackers.association import ASSIGNED, INDEPENDENT, JOINT, associate, evidence
+from fls_trackers.association import ASSIGNED, INDEPENDENT, JOINT, LINEAR, associate, evidence
 from fls_trackers.clutter import cell_density
 from fls_trackers.conversion import convert, noise_at
 from fls_trackers.existence import chances, given_existence, weighted
@@ -16,6 +16,7 @@ from fls_trackers.gating import gate
 from fls_trackers.initiation import by_place
 from fls_trackers.kalman import predict, update
 from fls_trackers.life import LOST, Rules, judge
+from fls_trackers.linear import against_others
 from fls_trackers.scan import Fixed, Method, Scanned, Starts, scan
 from fls_trackers.settings import Grain, settings_of
 from fls_trackers.track_bank import TrackBank, new_tracks
@@ -60,7 +61,7 @@ def whole(bank: TrackBank, ping: Detections, dt_s: float, sharing: int = JOINT, 
     return scan(bank, ping, None, dt_s, GRAIN, POSE, Fixed.of(s, Method(sharing, 12)), CLUTTER, starts)
 
 
-@pytest.mark.parametrize("sharing", [JOINT, INDEPENDENT, ASSIGNED])
+@pytest.mark.parametrize("sharing", [JOINT, INDEPENDENT, ASSIGNED, LINEAR])
 @pytest.mark.parametrize(("n", "m"), [(0, 0), (0, 5), (5, 0), (1, 1), (12, 40)])
 @pytest.mark.parametrize("dt_s", [0.0, 0.5])
 def test_a_scan_is_its_steps(n: int, m: int, dt_s: float, sharing: int) -> None:
@@ -77,9 +78,13 @@ def test_a_scan_is_its_steps(n: int, m: int, dt_s: float, sharing: int) -> None:
     rank = (bank.ledger["status"] == 0).astype(np.int64)
     miss = 1.0 - s.p_d * s.gate_probability
     chance = chances(bank.ledger, s.start_score)
-    likelihood = weighted(gated.start, gated.likelihood, chance, miss)
-    weighed = gated._replace(likelihood=likelihood) if sharing == JOINT else gated
-    found = associate(weighed, density, rank, p_d=s.p_d, p_g=s.gate_probability, sharing=sharing)
+    weighed, way = gated, sharing
+    if sharing == JOINT:
+        weighed = gated._replace(likelihood=weighted(gated.start, gated.likelihood, chance, miss))
+    if sharing == LINEAR:
+        likelihood = against_others(*gated, density, rank, chance, 1.0 - miss)
+        weighed, way = gated._replace(likelihood=likelihood), INDEPENDENT
+    found = associate(weighed, density, rank, p_d=s.p_d, p_g=s.gate_probability, sharing=way)
     if sharing == JOINT:
         given_existence(gated.start, gated.places, found.beta, found.beta_none, found.taken, chance, miss)
     x, P = update(x, P, R, y, gated.start, gated.places, found.beta, found.beta_none)

@@ -57,27 +57,13 @@ class Capon:
             value = getattr(self, name)
             if not (isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} is {value}; it must be positive and finite")
-        self._settings()
-
-    def _settings(self) -> Settings:
-        return Settings(
-            self.range_min_m,
-            self.range_max_m,
-            self.oversampling,
-            self.range_step_m,
-            self.first_beam_deg,
-            self.sector_deg,
-            self.beam_spacing_deg,
-            self.focus,
-            self.sound_speed_mps,
-            self.precision,
-        )
+        Settings.of(self)
 
     def __call__(self, block: CompressedBlock) -> Ping:
         """The block's polar image."""
         if not block.samples.size:
             return Ping(block.seq, block.stamp_ns, mount=block.mount, nav=block.nav)
-        layout = self._layout = Layout.known(self._layout, self._settings(), block)
+        layout = self._layout = Layout.known(self._layout, Settings.of(self), block)
         plan = FramePlan.of(layout.grid, layout.bandwidth_hz, layout.guard_s)
         samples, carrier_hz = layout.baseband(block, self.precision)
         frames = band_frames(samples, layout.grid, plan)

@@ -40,27 +40,13 @@ class DelayAndSum:
     _layout: Layout | None = field(default=None, init=False, repr=False)  # of the last block's geometry
 
     def __post_init__(self) -> None:
-        self._settings()
-
-    def _settings(self) -> Settings:
-        return Settings(
-            self.range_min_m,
-            self.range_max_m,
-            self.oversampling,
-            self.range_step_m,
-            self.first_beam_deg,
-            self.sector_deg,
-            self.beam_spacing_deg,
-            self.focus,
-            self.sound_speed_mps,
-            self.precision,
-        )
+        Settings.of(self)
 
     def __call__(self, block: CompressedBlock) -> Ping:
         """The block's polar image."""
         if not block.samples.size:
             return Ping(block.seq, block.stamp_ns, mount=block.mount, nav=block.nav)
-        layout = self._layout = Layout.known(self._layout, self._settings(), block)
+        layout = self._layout = Layout.known(self._layout, Settings.of(self), block)
         samples, carrier_hz = layout.baseband(block, self.precision)
         fine = fine_samples(samples, carrier_hz, layout.grid, layout.guard_s)
         amplitude = delay_and_sum(fine, layout.steering(fine), layout.grid.count)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import isfinite
 from typing import Literal, get_args
 
@@ -51,6 +51,11 @@ class Settings:
         if self.precision not in get_args(Precision):
             raise ValueError(f"precision is {self.precision!r}; it must be one of {get_args(Precision)}")
         self.beams()
+
+    @classmethod
+    def of(cls, beamformer: object) -> Settings:
+        """Those of a node that has them all as parameters."""
+        return cls(**{one.name: getattr(beamformer, one.name) for one in fields(cls)})
 
     def beams(self) -> Beams:
         """The bearings."""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from fls_detectors.array_blobs import Blobs, blobs_of
 from fls_detectors.cfar import NO_FLAGS, Window, rayleigh_hits
 from fls_detectors.exclusion import all_finite, cell_flags, no_marks
+from fls_detectors.reference import nearest_cells
 from fls_flow import Detections, Ping, hookimpl
 
 __all__ = ["ArrayCfar"]
@@ -103,9 +104,9 @@ class ArrayCfar:
         )
 
     def _window(self, cell_m: float) -> Window:
-        stride = max(1, round(self.stride_m / cell_m))
+        stride = max(1, nearest_cells(self.stride_m / cell_m))
         levels = self.references.bit_length() - 2
-        return Window(int(self.guard_m / cell_m + 0.5), stride, levels, 0, self.references)
+        return Window(nearest_cells(self.guard_m / cell_m), stride, levels, 0, self.references)
 
     def snapshot(self) -> dict[str, Any]:
         """Whether the user has been warned."""

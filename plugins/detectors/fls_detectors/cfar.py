@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_detectors.reference import NO_FLAGS, REFERENCE, TEST, Flags, Window
+from fls_detectors.window_sums import blank_planes, history_rows, sum_window
 from fls_flow.kernels import compiled, frozen
 
 __all__ = [
@@ -29,8 +30,7 @@ __all__ = [
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-CHUNK_CELLS = 1 << 13  # worked on at once, if there are not many beams: the planes fit the nearest caches
-SIFT_CELLS = 256  # looked through once more, one by one, if any of them may be a hit
+CHUNK_CELLS = 1 << 14  # worked on at once, if there are not many beams: the planes fit the nearer caches
 MARGIN = np.float32(1.0 - 1e-5)  # of the screen, over float32 rounding
 HUGE = np.float32(1e38)  # sums beyond it would overflow the screen
 
@@ -63,7 +63,8 @@ def rayleigh_hits(
 
     J and the sum run over the reference cells that exist and carry `REFERENCE` in `flags`; `scale` has an
     entry per beam and is 1 by default. No hit is given by cells without `TEST`, without `min_ref` reference
-    cells, or, with floor 0, whose reference is nothing but zeros. Cells that are not finite must have flag 0.
+    cells, or, with floor 0, whose reference is nothing but zeros: no more than that are amplitudes below
+    1e-22, whose squares float32 does not hold. Cells that are not finite must have flag 0.
 
     Source: Karoui 2015 (4).
     """
@@ -94,41 +95,38 @@ def _screen(
 ) -> None:
     """Go along the ranges in chunks of rows, kept flat: loops are long even when the beams are few.
 
-    `sums` holds 2 reach rows of history, then the chunk, and so does `counts`, of the dtype of `kind`.
+    Reference cells, if some are excluded, are counted in the dtype of `kind` the way that squares are summed.
     """
     n_ranges, n_beams = amplitude.shape
     reach = window.guard + 1 + ((1 << window.levels) - 1) * window.stride
-    rows = min(max(CHUNK_CELLS // n_beams, 64, 2 * reach), n_ranges + reach)  # reach rows are history
+    steps = n_ranges + reach  # the last cells are decided `reach` rows after they have entered
+    most = max(CHUNK_CELLS // n_beams, 64, 2 * reach)
+    rows = -(-steps // -(-steps // most))  # chunks of one length: none is nearly empty
     new = rows * n_beams
-    sums = np.zeros(2 * reach * n_beams + new, np.float32)
-    reference = np.zeros(new, np.float32)
-    usable = np.zeros(new if flags.size else 0, kind.dtype)
-    counts = np.zeros(sums.size if flags.size else 0, kind.dtype)
-    for front in range(0, n_ranges + reach, rows):
-        _enter(amplitude, flags, front, reference, usable)
-        _sum_window(reference, n_beams, window, new, sums)
-        behind = sums[(reach + window.guard + 1) * n_beams :]
-        if flags.size:
-            _sum_window(usable, n_beams, window, new, counts)
-        counts_behind = counts[(reach + window.guard + 1) * n_beams :] if flags.size else counts
-        before, after = (sums, counts), (behind, counts_behind)
+    history = history_rows(window, reach) * n_beams
+    squares, usable = np.empty(new, np.float32), np.empty(new if flags.size else 0, kind.dtype)
+    sums, counts = blank_planes(squares, history), blank_planes(usable, history)
+    possible = np.zeros((new + 31) // 32 * 32, np.uint8)
+    least = _least_by_count(window, factors)
+    for front in range(0, steps, rows):
+        _enter(amplitude, flags, front, squares, usable)
+        total = sum_window(squares, n_beams, window, history, sums)
+        count = sum_window(usable, n_beams, window, history, counts) if flags.size else counts
         _sift(
-            amplitude, flags, front - reach, rows, window, factors, relative, floor_power, before, after, hits
+            amplitude,
+            flags,
+            front - reach,
+            rows,
+            window,
+            factors,
+            least,
+            relative,
+            floor_power,
+            (total, count),
+            possible,
+            squares.view(np.int32),
+            hits,
         )
-        sums[:-new] = sums[new:].copy()
-        if flags.size:
-            counts[:-new] = counts[new:].copy()
-
-
-@compiled
-def _sum_window(
-    cells: npt.NDArray[Any], n_beams: int, window: Window, new: int, sums: npt.NDArray[Any]
-) -> None:
-    """Turn the last `new` of `sums` into sums over one side of the window that ends there."""
-    _sum_beams(cells, n_beams, window.beams, sums[sums.size - new :])
-    for level in range(window.levels):
-        shift = (1 << level) * window.stride * n_beams
-        _double(sums[sums.size - new - 2 * shift + window.stride * n_beams :], new, shift)
 
 
 @compiled
@@ -136,72 +134,26 @@ def _enter(
     amplitude: npt.NDArray[Any],
     flags: Flags,
     front: int,
-    reference: npt.NDArray[np.float32],
+    squares: npt.NDArray[np.float32],
     usable: npt.NDArray[Any],
 ) -> None:
     """Fill in the squares of the cells that may be reference, with a 1 for each."""
     n_ranges, n_beams = amplitude.shape
-    count = min(reference.size, max(n_ranges - front, 0) * n_beams)
+    count = min(squares.size, max(n_ranges - front, 0) * n_beams)
     cells = amplitude.reshape(-1)[front * n_beams :]
-    reference[count:] = np.float32(0.0)
+    squares[count:] = np.float32(0.0)
     usable[count:] = 0
     if flags.size:
         marks = flags.reshape(-1)[front * n_beams :]
         for i in range(count):
             x = np.float32(cells[i])
-            reference[i] = x * x if marks[i] & REFERENCE else np.float32(0.0)
+            squares[i] = x * x if marks[i] & REFERENCE else np.float32(0.0)
+        for i in range(count):
             usable[i] = marks[i] & REFERENCE
     else:
         for i in range(count):
             x = np.float32(cells[i])
-            reference[i] = x * x
-
-
-@compiled
-def _sum_beams(squares: npt.NDArray[Any], n_beams: int, beams: int, total: npt.NDArray[Any]) -> None:
-    """Sum over the neighbouring beams: first across the ends of rows too, then the ends again, rightly."""
-    n = squares.size
-    if beams == 1 and n > 2:
-        left, middle, right, inner = squares[:-2], squares[1:-1], squares[2:], total[1:-1]
-        for i in range(n - 2):
-            inner[i] = left[i] + middle[i] + right[i]
-    else:
-        total[:] = squares
-        for shift in range(1, min(beams, n_beams - 1) + 1):
-            _add(total[shift:], squares[: n - shift])
-            _add(total[: n - shift], squares[shift:])
-    if beams == 1 and n_beams > 1:
-        for start in range(0, n, n_beams):
-            stop = start + n_beams
-            total[start] = squares[start] + squares[start + 1]
-            total[stop - 1] = squares[stop - 2] + squares[stop - 1]
-    else:
-        _sum_edges(squares, n_beams, beams, total)
-
-
-@compiled
-def _sum_edges(squares: npt.NDArray[Any], n_beams: int, beams: int, total: npt.NDArray[Any]) -> None:
-    for start in range(0, squares.size, n_beams):
-        for edge in range(min(beams, n_beams)):
-            for beam in (edge, n_beams - 1 - edge):
-                first = max(beam - beams, 0)
-                total[start + beam] = squares[start + first]
-                for j in range(first + 1, min(beam + beams + 1, n_beams)):
-                    total[start + beam] += squares[start + j]
-
-
-@compiled
-def _add(target: npt.NDArray[Any], other: npt.NDArray[Any]) -> None:
-    for i in range(target.size):
-        target[i] += other[i]
-
-
-@compiled
-def _double(sums: npt.NDArray[Any], count: int, shift: int) -> None:
-    """Add to each of the first `count` what stands `shift` behind it."""
-    for start in range(0, count, shift):  # blocks that don't overlap, else it isn't vectorised
-        stop = min(start + shift, count)
-        _add(sums[start:stop], sums[start + shift : stop + shift])
+            squares[i] = x * x
 
 
 @compiled
@@ -212,60 +164,80 @@ def _sift(
     rows: int,
     window: Window,
     factors: FloatArray,
+    least: npt.NDArray[np.float32],
     relative: FloatArray,
     floor_power: float,
-    before: tuple[npt.NDArray[np.float32], npt.NDArray[Any]],
-    behind: tuple[npt.NDArray[np.float32], npt.NDArray[Any]],
+    summed: tuple[npt.NDArray[np.float32], npt.NDArray[Any]],
+    possible: npt.NDArray[np.uint8],
+    places: npt.NDArray[np.int32],
     hits: BoolArray,
 ) -> None:
-    """Decide the cells whose power exceeds the least threshold that their sum, and their count, allow."""
+    """Decide the cells whose power exceeds the least threshold that their sum, then their count, allows."""
     n_ranges, n_beams = amplitude.shape
-    size = 2 * (1 << window.levels) * (2 * window.beams + 1)
-    least = np.float32(factors[-1]) * MARGIN  # a(J) and J a(J) fall with J: no threshold lies below this
-    floor_sum = np.float32(min(floor_power * size, float(HUGE)))
-    lowest, floor = _least_by_count(window, factors), np.float32(floor_power)
-    cells = amplitude.reshape(-1)
-    stop = min(rows, n_ranges - first_row) * n_beams
-    for start in range(max(-first_row, 0) * n_beams, stop, SIFT_CELLS):
-        piece = slice(start, min(start + SIFT_CELLS, stop))
-        tested = cells[first_row * n_beams + start : first_row * n_beams + piece.stop]
-        one, other = before[0][piece], behind[0][piece]
-        above = False
+    sums, counts = summed
+    first = max(-first_row, 0) * n_beams
+    size = max(min(rows, n_ranges - first_row) * n_beams - first, 0)
+    cells = amplitude.reshape(-1)[first_row * n_beams + first :][:size]
+    ahead = first + (2 * (window.guard + 1) + ((1 << window.levels) - 1) * window.stride) * n_beams
+    one, other = sums[first:][:size], sums[ahead:][:size]
+    _compare(cells, one, other, window, least[-1], floor_power, flags.size > 0, possible)
+    possible[size:] = 0
+    for i in places[: _places(possible, places)]:
+        row, beam = first_row + (first + i) // n_beams, (first + i) % n_beams
         if flags.size:
-            count, more = before[1][piece], behind[1][piece]
-            for i in range(tested.size):
-                x, J = np.float32(tested[i]), count[i] + more[i]
-                above |= x * x > lowest[J] * min(max(one[i] + other[i], np.float32(J) * floor), HUGE)
-        else:
-            for i in range(tested.size):
-                x = np.float32(tested[i])
-                above |= x * x > least * min(max(one[i] + other[i], floor_sum), HUGE)
-        if not above:
+            x, J = np.float32(cells[i]), counts[first + i] + counts[ahead + i]
+            total = max(one[i] + other[i], np.float32(J) * np.float32(floor_power))
+            if not (x * x > least[J] * min(total, HUGE) and flags[row, beam] & TEST):
+                continue
+        hits[row, beam] = _exceeds(amplitude, flags, row, beam, window, factors, relative[beam], floor_power)
+
+
+@compiled
+def _places(possible: npt.NDArray[np.uint8], places: npt.NDArray[np.int32]) -> int:
+    """Fill in where `possible` is not 0, looked for 32 cells at a time, then 8; returns how often."""
+    words = possible.view(np.uint64)
+    count = 0
+    for block in range(0, words.size, 4):
+        if not (words[block] | words[block + 1] | words[block + 2] | words[block + 3]):
             continue
-        for i in range(tested.size):
-            x = np.float32(tested[i])
-            if flags.size:
-                J = before[1][start + i] + behind[1][start + i]
-                possible = x * x > lowest[J] * min(max(one[i] + other[i], np.float32(J) * floor), HUGE)
-            else:
-                possible = x * x > least * min(max(one[i] + other[i], floor_sum), HUGE)
-            if possible:
-                row, beam = first_row + (start + i) // n_beams, (start + i) % n_beams
-                if flags.size == 0 or flags[row, beam] & TEST:
-                    hits[row, beam] = _exceeds(
-                        amplitude, flags, row, beam, window, factors, relative[beam], floor_power
-                    )
+        for word in range(block, block + 4):
+            for i in range(8 * word, 8 * word + 8 if words[word] else 0):
+                if possible[i]:
+                    places[count] = i
+                    count += 1
+    return count
+
+
+@compiled
+def _compare(
+    cells: npt.NDArray[Any],
+    one: npt.NDArray[np.float32],
+    other: npt.NDArray[np.float32],
+    window: Window,
+    least: np.float32,
+    floor_power: float,
+    excluding: bool,
+    possible: npt.NDArray[np.uint8],
+) -> None:
+    """Whether the power of cells exceeds the least threshold of any count, given their sums."""
+    # a(J) and J a(J) fall with J: no threshold lies below that of the largest count with the least sum
+    size = 2 * (1 << window.levels) * (2 * window.beams + 1)
+    floor_sum = np.float32(min(floor_power * size, float(HUGE)))
+    # where all cells of the window are excluded, only a wider one can tell
+    some = np.float32(0.0 if excluding and window.widest <= 1 << window.levels else -1.0)
+    for i in range(cells.size):
+        x, total = np.float32(cells[i]), max(one[i] + other[i], floor_sum)
+        possible[i] = (x * x > least * min(total, HUGE)) & (total > some)
 
 
 @compiled
 def _least_by_count(window: Window, factors: FloatArray) -> npt.NDArray[np.float32]:
-    """The least threshold of cells with so many reference cells in the window."""
-    least = np.empty(factors.size + 256, np.float32)
-    wide = window.widest > 1 << window.levels
+    """The least factor of cells with so many reference cells in the window."""
+    least = np.empty(factors.size, np.float32)
+    # where the window holds too few cells, only a wider one can tell
+    few = 0.0 if window.widest > 1 << window.levels else np.inf
     for count in range(least.size):
-        factor = factors[min(count, factors.size - 1)]
-        # where the window holds too few cells, only a wider one can tell
-        least[count] = np.float32(factor) * MARGIN if np.isfinite(factor) else 0.0 if wide else np.inf
+        least[count] = np.float32(factors[count]) * MARGIN if np.isfinite(factors[count]) else few
     return least
 
 

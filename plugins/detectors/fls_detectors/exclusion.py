@@ -46,8 +46,8 @@ def mark_ellipses(
 ) -> None:
     """Mark the cells with (p - centre)^T M (p - centre) <= 1.
 
-    A beam is looked at along the ray within its half width that comes nearest to the centre: a shape
-    narrower than the beams is not lost between them.
+    A beam is looked at along its own ray and along the one within its half width that comes nearest to the
+    centre: a shape narrower than the beams is not lost between them.
     """
     for i in range(centre_m.shape[0]):
         x, y = centre_m[i]
@@ -59,14 +59,14 @@ def mark_ellipses(
             off = _off_beam(bearing_rad[beam], half_width_rad, middle)
             if abs(off) > widest:
                 continue
-            u, v = np.cos(middle - off), np.sin(middle - off)
-            square = a * u * u + 2.0 * b * u * v + c * v * v
-            along = a * u * x + b * (u * y + v * x) + c * v * y
-            root = along * along - square * at_centre
-            if root >= 0.0:
-                _mark(
-                    marks, range_m, beam, (along - np.sqrt(root)) / square, (along + np.sqrt(root)) / square
-                )
+            for angle in _rays(bearing_rad[beam], middle - off):
+                u, v = np.cos(angle), np.sin(angle)
+                square = a * u * u + 2.0 * b * u * v + c * v * v
+                along = a * u * x + b * (u * y + v * x) + c * v * y
+                root = along * along - square * at_centre
+                if root >= 0.0:
+                    reach = np.sqrt(root)
+                    _mark(marks, range_m, beam, (along - reach) / square, (along + reach) / square)
 
 
 @compiled
@@ -97,22 +97,41 @@ def mark_wedges(
             off = _off_beam(bearing_rad[beam], half_width_rad, middle)
             if abs(off) > widest:
                 continue
-            u, v = np.cos(middle - off), np.sin(middle - off)
-            along = u * x + v * y
-            root = along * along - (x * x + y * y - length * length)
-            if root < 0.0:
-                continue
-            low, high = along - np.sqrt(root), along + np.sqrt(root)
-            if half < 0.5 * np.pi:
-                for nx, ny in normals:  # inside: normal . (r u - apex) >= 0
-                    slope, offset = nx * u + ny * v, nx * x + ny * y
-                    if slope > 0.0:
-                        low = max(low, offset / slope)
-                    elif slope < 0.0:
-                        high = min(high, offset / slope)
-                    elif offset > 0.0:
-                        high = -np.inf
-            _mark(marks, range_m, beam, low, high)
+            for angle in _rays(bearing_rad[beam], middle - off):
+                low, high = _within_disc(angle, x, y, length)
+                if half < 0.5 * np.pi:
+                    for nx, ny in normals:
+                        low, high = _beyond_edge(angle, x, y, nx, ny, low, high)
+                _mark(marks, range_m, beam, low, high)
+
+
+@compiled
+def _within_disc(angle: float, x: float, y: float, radius: float) -> tuple[float, float]:
+    """From where to where a ray lies in a disc around (x, y); the end before the begin: nowhere."""
+    along = np.cos(angle) * x + np.sin(angle) * y
+    root = along * along - (x * x + y * y - radius * radius)
+    if root < 0.0:
+        return np.inf, -np.inf
+    return along - np.sqrt(root), along + np.sqrt(root)
+
+
+@compiled
+def _beyond_edge(
+    angle: float, x: float, y: float, nx: float, ny: float, low: float, high: float
+) -> tuple[float, float]:
+    """What is left of a ray on the side of the edge through (x, y) to which the normal points."""
+    slope, offset = nx * np.cos(angle) + ny * np.sin(angle), nx * x + ny * y
+    if slope > 0.0:
+        return max(low, offset / slope), high
+    if slope < 0.0:
+        return low, min(high, offset / slope)
+    return low, -np.inf if offset > 0.0 else high
+
+
+@compiled
+def _rays(own: float, nearest: float) -> tuple[float, float]:
+    """Along which angles a beam is looked at."""
+    return own, nearest
 
 
 @compiled

@@ -21,6 +21,7 @@ from fls_detectors.reference import (
     Window,
     existing_cells,
     gathered_cells,
+    reference_offsets,
     window_reach,
 )
 from fls_flow.kernels import compiled, frozen
@@ -212,14 +213,12 @@ def _sum(
     one, two = total[window.beams :][:size], square[window.beams :][:size]
     one[:] = np.float32(0.0)
     two[:] = np.float32(0.0)
-    for distance in range(window.guard + 1, reach + 1, window.stride):
-        for side in (-1, 1):
-            start = (first + reach + side * distance) * width
-            for shift in range(2 * window.beams + 1):
-                other = flat[start + shift :][:size]
-                for i in range(size):
-                    one[i] += other[i]
-                    two[i] += other[i] * other[i]
+    start = (first + reach) * width + window.beams
+    for offset in reference_offsets(window, reach, width):
+        other = flat[start + offset :][:size]
+        for i in range(size):
+            one[i] += other[i]
+            two[i] += other[i] * other[i]
 
 
 @compiled
@@ -249,9 +248,15 @@ def _height(cells: FloatArray, factor: float, floor: float, least: float) -> flo
     """max(exp(m + t s), least) of these reference cells."""
     if cells.size < 2:
         return np.inf
+    lowest, highest = np.inf, -np.inf
+    for i in range(cells.size):
+        cells[i] = max(cells[i], floor)
+        lowest, highest = min(lowest, cells[i]), max(highest, cells[i])
+    if lowest == highest:  # exactly so: no rounding of logarithms lifts their equals above them
+        return float(max(lowest, least))
     mean, square = 0.0, 0.0
     for i in range(cells.size):
-        cells[i] = np.log(max(cells[i], floor))
+        cells[i] = np.log(cells[i])
         mean += cells[i] / cells.size
     for i in range(cells.size):
         square += (cells[i] - mean) ** 2

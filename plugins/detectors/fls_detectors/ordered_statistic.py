@@ -21,6 +21,7 @@ from fls_detectors.reference import (
     Window,
     existing_cells,
     gathered_cells,
+    reference_offsets,
     window_reach,
 )
 from fls_flow.kernels import compiled, frozen
@@ -194,13 +195,11 @@ def _count_below(
     below[:] = 0
     size = (stop - first) * width - 2 * window.beams  # the first and last columns are padding
     here, count = level[window.beams :][:size], below[window.beams :][:size]
-    for distance in range(window.guard + 1, reach + 1, window.stride):
-        for side in (-1, 1):
-            start = (first + reach + side * distance) * width
-            for shift in range(2 * window.beams + 1):
-                other = flat[start + shift :][:size]
-                for i in range(size):
-                    count[i] += np.int32(other[i] < here[i])
+    start = (first + reach) * width + window.beams
+    for offset in reference_offsets(window, reach, width):
+        other = flat[start + offset :][:size]
+        for i in range(size):
+            count[i] += np.int32(other[i] < here[i])
 
 
 @compiled

@@ -17,6 +17,8 @@ __all__ = [
     "Window",
     "existing_cells",
     "gathered_cells",
+    "nearest_cells",
+    "reference_offsets",
     "window_reach",
 ]
 
@@ -63,14 +65,23 @@ class Window(NamedTuple):
     ) -> Window:
         """The window for range cells of `cell_m`: at most `max_ref`, spread over `reference_m` a side."""
         levels = int(np.log2(max_ref // (2 * (2 * guard_beams + 1))))
-        stride = max(1, int(reference_m / cell_m / 2**levels + 0.5))
+        stride = max(1, nearest_cells(reference_m / cell_m / 2**levels))
         return cls(
-            int(guard_m / cell_m + 0.5), stride, levels, guard_beams, int(widen_m / (cell_m * stride) + 0.5)
+            nearest_cells(guard_m / cell_m),
+            stride,
+            levels,
+            guard_beams,
+            nearest_cells(widen_m / (cell_m * stride)),
         )
 
     def within(self, n_ranges: int) -> Window:
         """The same for a ping of `n_ranges` rows: what lies beyond its end may lie anywhere there."""
         return self._replace(guard=min(self.guard, n_ranges), stride=min(self.stride, max(n_ranges, 1)))
+
+
+def nearest_cells(cells: float) -> int:
+    """A number of cells made whole, halves up, whatever rounding has left of a table of ranges."""
+    return int(cells + 0.5 + 1e-9)
 
 
 @compiled
@@ -113,6 +124,20 @@ def window_reach(window: Window, n_ranges: int) -> int:
     while last > 0 and window.guard + 1 + last * window.stride >= n_ranges:
         last -= 1
     return int(window.guard + 1 + last * window.stride)
+
+
+@compiled
+def reference_offsets(window: Window, reach: int, width: int) -> npt.NDArray[np.int64]:
+    """How far from a cell its reference cells lie in a flat image of `width` columns, from the guard on."""
+    sides = (reach - window.guard - 1) // window.stride + 1
+    offsets = np.empty(2 * sides * (2 * window.beams + 1), np.int64)
+    count = 0
+    for distance in range(window.guard + 1, reach + 1, window.stride):
+        for side in (-1, 1):
+            for shift in range(-window.beams, window.beams + 1):
+                offsets[count] = side * distance * width + shift
+                count += 1
+    return offsets
 
 
 @compiled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 
 from fls_flow.kernels import compiled, frozen
 
-__all__ = ["Rates", "learn", "rayleigh_threshold"]
+__all__ = ["Latecomers", "Rates", "learn", "rayleigh_threshold"]
 
 FloatImage = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
@@ -38,6 +39,60 @@ def rayleigh_threshold(pfa: float) -> float:
     z = (sqrt(-ln pfa) - sqrt(pi)/2) / sqrt(1 - pi/4), for known mean and variance.
     """
     return (math.sqrt(-math.log(pfa)) - RAYLEIGH_MEAN) / RAYLEIGH_SD
+
+
+def _no_cells() -> IntArray:
+    return np.zeros(0, np.int64)
+
+
+@dataclass
+class Latecomers:
+    """Cells that had no data at the first ping: each has a warm-up of its own when its data begin.
+
+    `cells` are their flat indices, `pings` how many with data each has seen.
+    """
+
+    cells: IntArray = field(default_factory=_no_cells)
+    pings: IntArray = field(default_factory=_no_cells)
+
+    @classmethod
+    def of(cls, amplitude: npt.NDArray[Any], valid: npt.NDArray[np.bool_] | None) -> Latecomers:
+        """Those of the first ping."""
+        cells = np.flatnonzero(~_known(amplitude, valid))
+        return cls(cells, np.zeros(cells.size, np.int64))
+
+    def learn(
+        self,
+        amplitude: npt.NDArray[Any],
+        valid: npt.NDArray[np.bool_] | None,
+        before: tuple[FloatImage, FloatImage],
+        after: tuple[FloatImage, FloatImage],
+        rates: tuple[float, float],
+        warm_up_pings: int,
+    ) -> IntArray:
+        """Write what they know after a ping; gives those that cannot be judged yet.
+
+        `before` are their means and variances before the ping, `after` the images of both, to be mended:
+        they learn by max(rate, 1 / (k + 1)) at their own k.
+        """
+        young, flat = self.cells, amplitude.reshape(-1)[self.cells].astype(np.float32)
+        known = _known(flat, None if valid is None else valid.reshape(-1)[young])
+        mean, variance = before
+        ramp = 1.0 / (self.pings + 1.0)
+        d = np.where(known & (self.pings > 0), flat - mean, np.float32(0.0))
+        mean = np.where(known & (self.pings == 0), flat, mean) + np.maximum(rates[0], ramp) * d
+        variance = variance + np.maximum(rates[1], ramp) * np.where(known, d * d - variance, 0.0)
+        after[0].reshape(-1)[young], after[1].reshape(-1)[young] = mean, variance
+        self.pings = self.pings + known
+        still = self.pings < warm_up_pings
+        self.cells, self.pings = young[still], self.pings[still]
+        return young
+
+
+def _known(amplitude: npt.NDArray[Any], valid: npt.NDArray[np.bool_] | None) -> npt.NDArray[np.bool_]:
+    """Where there is a sensible number."""
+    known = np.abs(amplitude.astype(np.float32)) < HUGE
+    return known if valid is None else known & valid
 
 
 def learn(

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_detectors.clutter_map import smoothed
-from fls_detectors.temporal_background import Rates, learn, rayleigh_threshold
+from fls_detectors.temporal_background import Latecomers, Rates, learn, rayleigh_threshold
 from fls_detectors.temporal_objects import around, linked, objects
 from fls_flow import Detections, Ping, hookimpl
 
@@ -23,6 +23,7 @@ BoolImage = npt.NDArray[np.bool_]
 Strength = Literal["peak", "energy"]
 
 LEAST_SHARE = np.float32(0.05)  # of its height that a cell keeps, however long it has been there
+EARLY_MARGIN = 2.0  # thresholds above which a cell learns slowly in the warm-up: its moments are rough yet
 
 
 class TemporalPing(NamedTuple):
@@ -49,9 +50,11 @@ class TemporalCfar:
     b_k alike from `variance_rate`. tau is `threshold`, or the height that Rayleigh amplitudes of known
     moments exceed with probability `pfa`: tau = (sqrt(-ln pfa) - 0.886) / 0.463; estimated moments make
     false alarms more frequent (at 1e-2: 1.06e-2 with a rate of 0.01, 2.1e-2 with 0.2). The first
-    `warm_up_pings` detect nothing; when the geometry of the pings changes, learning begins anew.
+    `warm_up_pings` detect nothing, nor do those of a cell whose data begin later; when the geometry of the
+    pings changes, learning begins anew.
     With `event_rate`, the mean of a detected cell learns at most that fast and its variance not at all, so
-    that what is slow is not absorbed so soon.
+    that what is slow is not absorbed so soon. From ping `early_pings` on that holds in the warm-up too, for
+    cells above twice the threshold: what swims there then is not learnt as background.
     `floor` bounds sd from below; by default it is one step of integer amplitudes, else 0.
 
     Cells are joined to one detection per object with `link_m`: those nearer to each other than that, in
@@ -63,9 +66,10 @@ class TemporalCfar:
 
     With `recent_rate`, what has stayed in place counts less. With h the height above the background under a
     Gaussian of `recent_cells` (range, beam), and r its mean over the pings before,
-    r += `recent_rate` (h - r), the weight is max(h - r, h / 20) in place of the height; and only cells with
-    h - r >= `fresh_share` h count for `min_cells`. So what a swimmer leaves behind (bubbles, stirred silt)
-    fades within some 1 / `recent_rate` pings, and so does a swimmer who keeps as still as that.
+    r += `recent_rate` (h - r), f = h - `recent_share` r: the weight is max(f, h / 20) in place of the height;
+    and only cells with f >= `fresh_share` h count for `min_cells`. So what a swimmer leaves behind (bubbles,
+    stirred silt) fades within some 1 / `recent_rate` pings, and so does a swimmer who keeps as still as that;
+    unless `recent_share` is at most 1 - `fresh_share`: then both stay, but weigh little.
 
     `foreground` is the ping with max(0, X - mu) as amplitude, float32, under a Gaussian of `smooth_cells`
     (range, beam), which makes one region of an object that speckle has broken up; during warm-up it is zero.
@@ -80,6 +84,7 @@ class TemporalCfar:
     variance_rate: float | None = None  # None: as rate
     event_rate: float | None = None  # None: events learn as all others do
     warm_up_pings: int = 20
+    early_pings: int | None = None  # None: in the warm-up all cells learn alike
     floor: float | None = None
     max_detections: int = 5_000  # the strongest cells are kept
     link_m: float = 0.0  # 0 here and in reach_m: every cell is a detection
@@ -87,12 +92,14 @@ class TemporalCfar:
     min_cells: int = 1  # of an object
     strength: Strength = "peak"  # of an object
     recent_rate: float | None = None  # None: how long a cell has been above its background does not matter
+    recent_share: float = 1.0
     recent_cells: tuple[float, float] = (3.0, 2.0)  # standard deviations
     fresh_share: float = 0.2
     smooth_cells: tuple[float, float] = (0.0, 0.0)  # of the foreground; standard deviations
     _count: int = field(default=0, init=False, repr=False)
     _mean: FloatImage = field(default_factory=_no_image, init=False, repr=False)
     _variance: FloatImage = field(default_factory=_no_image, init=False, repr=False)
+    _late: Latecomers = field(default_factory=Latecomers, init=False, repr=False)
     _recent: FloatImage = field(default_factory=_no_image, init=False, repr=False)
     _range_m: FloatArray = field(default_factory=_no_table, init=False, repr=False)
     _bearing_rad: FloatArray = field(default_factory=_no_table, init=False, repr=False)
@@ -108,6 +115,8 @@ class TemporalCfar:
         slow = self.event_rate
         self._require("event_rate", slow is None or 0.0 <= slow < 1.0, "from 0 to below 1")
         self._require("warm_up_pings", self.warm_up_pings >= 2, "at least 2, for a variance")
+        early = self.early_pings
+        self._require("early_pings", early is None or early >= 2, "at least 2, for a variance")
         self._require("floor", self.floor is None or 0.0 <= self.floor < math.inf, "finite and not negative")
         for name in ("link_m", "reach_m"):
             self._require(name, 0.0 <= getattr(self, name) < math.inf, "finite and not negative")
@@ -116,7 +125,8 @@ class TemporalCfar:
         self._require("strength", self.strength in get_args(Strength), f"one of {get_args(Strength)}")
         recent = self.recent_rate
         self._require("recent_rate", recent is None or 0.0 < recent < 1.0, "between 0 and 1")
-        self._require("fresh_share", 0.0 <= self.fresh_share <= 1.0, "from 0 to 1")
+        for name in ("recent_share", "fresh_share"):
+            self._require(name, 0.0 <= getattr(self, name) <= 1.0, "from 0 to 1")
         for name in ("smooth_cells", "recent_cells"):
             widths = getattr(self, name)
             self._require(name, all(0.0 <= w < math.inf for w in widths), "finite and not negative")
@@ -137,23 +147,37 @@ class TemporalCfar:
         self._begin_anew_if_changed(ping)
         if not self._count:
             self._mean[:] = _finite(ping)
+            self._late = Latecomers.of(ping.amplitude, ping.valid)
         warm = self._count >= self.warm_up_pings
-        cells, height = learn(ping.amplitude, ping.valid, self._mean, self._variance, self._rates(ping, warm))
+        cells, height = self._learnt(ping, self._rates(ping, warm))
         self._count += 1
         if not warm:
-            height = np.zeros_like(height)
+            cells, height = cells[:0], np.zeros_like(height)
         return TemporalPing(
             self._detections(ping, cells, *self._weights(height)),
             _foreground(ping, smoothed(height, self.smooth_cells)),
         )
+
+    def _learnt(self, ping: Ping, rates: Rates) -> tuple[IntArray, FloatImage]:
+        """The cells that stand out and the heights of all, after learning from a ping."""
+        late = self._late.cells
+        before = self._mean.reshape(-1)[late], self._variance.reshape(-1)[late]
+        cells, height = learn(ping.amplitude, ping.valid, self._mean, self._variance, rates)
+        if late.size:
+            after = self._mean, self._variance
+            slow = self.rate, self.rate if self.variance_rate is None else self.variance_rate
+            young = self._late.learn(ping.amplitude, ping.valid, before, after, slow, self.warm_up_pings)
+            height.reshape(-1)[young] = 0.0
+            cells = cells[~np.isin(cells, young)]
+        return cells, height
 
     def _weights(self, height: FloatImage) -> tuple[FloatImage, BoolImage]:
         """What cells weigh in their object, and which count for its size; learns the recent past."""
         if self.recent_rate is None:
             return height, np.ones(height.shape, bool)
         smooth = smoothed(height, self.recent_cells)
-        fresh = smooth - self._recent
-        self._recent += np.float32(self.recent_rate) * fresh
+        fresh = smooth - np.float32(self.recent_share) * self._recent
+        self._recent += np.float32(self.recent_rate) * (smooth - self._recent)
         return np.maximum(fresh, LEAST_SHARE * smooth), fresh >= np.float32(self.fresh_share) * smooth
 
     def _begin_anew_if_changed(self, ping: Ping) -> None:
@@ -177,7 +201,15 @@ class TemporalCfar:
         floor = self.floor
         if floor is None:
             floor = 1.0 if np.issubdtype(ping.amplitude.dtype, np.integer) else 0.0
-        return Rates(mean, variance, *event, self.tau if warm else math.inf, floor)
+        return Rates(mean, variance, *event, self._event_tau(warm), floor)
+
+    def _event_tau(self, warm: bool) -> float:
+        """The threshold above which cells of this ping learn as events; inf: none does."""
+        if warm:
+            return self.tau
+        early = self.early_pings
+        slow = self.event_rate is not None and early is not None and self._count >= early
+        return EARLY_MARGIN * self.tau if slow else math.inf
 
     def _detections(self, ping: Ping, cells: IntArray, weight: FloatImage, counted: BoolImage) -> Detections:
         rows, beams = np.divmod(cells, max(ping.bearing_rad.size, 1))
@@ -217,6 +249,8 @@ class TemporalCfar:
             "mean": self._mean.copy(),
             "variance": self._variance.copy(),
             "recent": self._recent.copy(),
+            "late_cells": self._late.cells.copy(),
+            "late_pings": self._late.pings.copy(),
             "range_m": self._range_m.copy(),
             "bearing_rad": self._bearing_rad.copy(),
         }
@@ -227,6 +261,9 @@ class TemporalCfar:
         self._mean = np.array(state["mean"], np.float32)
         self._variance = np.array(state["variance"], np.float32)
         self._recent = np.array(state["recent"], np.float32)
+        self._late = Latecomers(
+            np.array(state["late_cells"], np.int64), np.array(state["late_pings"], np.int64)
+        )
         self._range_m = np.array(state["range_m"], float)
         self._bearing_rad = np.array(state["bearing_rad"], float)
 

@@ -31,6 +31,9 @@ class Chips(Sealed):
     bearing_rad: FloatArray = array(float, "n", "n_columns")  # of each column
     cell_m: float = float("nan")  # spacing of the rows
     beam_spacing_rad: float = float("nan")  # median spacing of the ping's beams
+    near_chip: IntArray = array(np.int64, "m")  # pairs of a chip and another confirmed track in or near it
+    near_id: IntArray = array(np.int64, "m")  # that track
+    near_polar: FloatArray = array(float, "m", 2)  # its range (m) and bearing (rad)
 
     def __len__(self) -> int:
         return self.track_id.size

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from fls_features.chip_messages import Chips
 from fls_features.cutting import chip_size, cut, nearest_cells, windows
 from fls_flow import Ping, Tracks, TrackStatus, hookimpl
-from fls_flow.geometry import sensor_pose, to_polar
+from fls_flow.geometry import sensor_pose, to_polar, wrap
 
 __all__ = ["CutChips"]
 
@@ -62,7 +62,8 @@ class CutChips:
         place = _in_sensor_frame(tracks, ping)
         if place is None:
             return Chips(ping.seq, ping.stamp_ns)
-        return self._chips(ping, tracks.id[wanted], place[wanted])
+        sure = tracks.status == CONFIRMED
+        return self._chips(ping, tracks.id[wanted], place[wanted], tracks.id[sure], place[sure])
 
     def _updated(self, tracks: Tracks) -> BoolArray:
         """Which tracks have more hits than in the ping before; keeps their hits for the next."""
@@ -74,7 +75,9 @@ class CutChips:
         self._id, self._hits = tracks.id[order], tracks.hits[order]
         return np.asarray(tracks.hits > before)
 
-    def _chips(self, ping: Ping, track_id: IntArray, place: FloatArray) -> Chips:
+    def _chips(
+        self, ping: Ping, track_id: IntArray, place: FloatArray, sure_id: IntArray, sure_place: FloatArray
+    ) -> Chips:
         distance, bearing = to_polar(place)
         spacing = abs(ping.beam_spacing_rad)
         half_bearing = math.radians(self.half_bearing_deg)
@@ -103,7 +106,23 @@ class CutChips:
             ping.bearing_rad[where.origin[:, 1:] + np.arange(where.size[1])],
             ping.cell_m,
             spacing,
+            *self._near(track_id[near], distance[near], bearing[near], sure_id, sure_place),
         )
+
+    def _near(
+        self,
+        track_id: IntArray,
+        distance: FloatArray,
+        bearing: FloatArray,
+        sure_id: IntArray,
+        sure_place: FloatArray,
+    ) -> tuple[IntArray, IntArray, FloatArray]:
+        """Pairs of a chip and another confirmed track that may lie in it, wherever the chip was shifted."""
+        r, b = to_polar(sure_place)
+        close = np.abs(r - distance[:, None]) <= 2.0 * self.half_range_m
+        close &= np.abs(wrap(b - bearing[:, None])) <= 2.0 * math.radians(self.half_bearing_deg)
+        chip, other = np.nonzero(close & (sure_id != track_id[:, None]))
+        return chip.astype(np.int64), sure_id[other], np.stack([r[other], b[other]], axis=1)
 
     def snapshot(self) -> dict[str, Any]:
         """The hits of the tracks in the last ping."""

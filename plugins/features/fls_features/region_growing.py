@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import get_args
+from dataclasses import dataclass, field
+from typing import Any, get_args
 
 import numpy as np
 
 from fls_features.chip_messages import Chips, Regions
+from fls_features.company import Company
 from fls_features.growing import Rule, central, grown, reach, seeds, smoothed, thresholds, within
 from fls_flow import hookimpl
 
@@ -25,8 +26,11 @@ class RegionGrowing:
     is `level` times the seed; or, by `threshold`, the centre of that bin of a histogram of 100 bins, or that
     percentile. Cells up to `gap_m` apart are connected too: speckle breaks a body, or a school of fish, into
     pieces. A region that is empty or fills more than `max_fill` of its chip is not kept: it has leaked.
+    Nor, with `alone_m`, is one that comes so near to another confirmed track, while one of the two has mostly
+    been alone: it holds two swimmers, or one and its bubbles, and describes neither. Tracks that never are
+    without each other follow one object (a school) and describe it.
 
-    Source: Brinkmann 2010, 3.3.1 and 4.3.2; gaps and the guard against leaks are ours.
+    Source: Brinkmann 2010, 3.3.1 and 4.3.2; gaps, company and the guard against leaks are ours.
     """
 
     filter_rows: int = 20
@@ -36,6 +40,8 @@ class RegionGrowing:
     seed_within_m: float | None = None
     max_fill: float = 0.5
     gap_m: float = 0.0  # 0: neighbours alone
+    alone_m: float | None = None  # None: other tracks do not matter
+    _company: Company = field(default_factory=Company, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("filter_rows", "filter_columns"):
@@ -51,6 +57,8 @@ class RegionGrowing:
             raise ValueError(f"max_fill is {self.max_fill}; it lies between 0 and 1")
         if not 0.0 <= self.gap_m < math.inf:
             raise ValueError(f"gap_m is {self.gap_m}; it must be finite and not negative")
+        if self.alone_m is not None and not 0.0 < self.alone_m < math.inf:
+            raise ValueError(f"alone_m is {self.alone_m}; it must be positive")
 
     def __call__(self, chips: Chips) -> Regions:
         """The regions of one ping's chips."""
@@ -70,7 +78,17 @@ class RegionGrowing:
         mask = grown(filtered, seed, threshold, spans)
         cells = np.count_nonzero(mask, axis=(1, 2))
         kept = (cells > 0) & (cells <= self.max_fill * mask[0].size)
+        if self.alone_m is not None:
+            kept &= self._company.describes(chips, mask, self.alone_m)
         return Regions(chips.seq, chips.stamp_ns, chips.track_id.copy(), mask, seed, kept)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Which tracks have been alone, and how often."""
+        return self._company.snapshot()
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go on from a snapshot."""
+        self._company.restore(snapshot)
 
 
 @hookimpl

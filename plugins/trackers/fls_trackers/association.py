@@ -17,11 +17,12 @@ import numpy.typing as npt
 from fls_flow.kernels import compiled
 from fls_trackers.assignment import most_probable
 from fls_trackers.belief import bounded
+from fls_trackers.clusters import cluster_pairs, clusters
 from fls_trackers.events import all_events
 from fls_trackers.gating import Gated
 from fls_trackers.sweep import plan
 
-__all__ = ["ASSIGNED", "INDEPENDENT", "JOINT", "Association", "associate", "evidence", "shared_out"]
+__all__ = ["ASSIGNED", "INDEPENDENT", "JOINT", "LINEAR", "Association", "associate", "evidence", "shared_out"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -31,6 +32,7 @@ BoolArray = npt.NDArray[np.bool_]
 JOINT = 0  # all joint events, each with its probability
 INDEPENDENT = 1  # each track for itself, as if it were alone
 ASSIGNED = 2  # the most probable joint event alone
+LINEAR = 3  # as INDEPENDENT, with likelihoods from `linear.against_others`
 
 MAX_STEPS = 3_000_000  # of the sums over events, per scan: some 5 ms
 MAX_MESSAGES = 20_000_000  # of belief propagation, per scan: some 200 ms
@@ -103,11 +105,13 @@ def shared_out(
                 live[e] = taken[places[e]] <= 0.5
                 in_gate[t] |= live[e]
                 claimed[places[e]] |= level == 0
-        tracks, first = _clusters(start, places, live, in_gate & (rank == level), m)
-        for c in range(first.size - 1):
-            members = tracks[first[c] : first[c + 1]]
-            approximate += _cluster(
-                members, start, places, ratio, live, work, max_shared, sharing, budget, beta, beta_none
+        chosen = in_gate & (rank == level)
+        if sharing == INDEPENDENT:
+            for one in np.flatnonzero(chosen):
+                _one_track(int(one), start, ratio, live, beta, beta_none)
+        else:
+            approximate += _all_clusters(
+                chosen, start, places, ratio, live, work, max_shared, sharing, budget, beta, beta_none
             )
         for t in range(n):
             for e in range(start[t], start[t + 1] if rank[t] == level else 0):
@@ -139,46 +143,31 @@ def evidence(
 
 
 @compiled
-def _clusters(
-    start: IntArray, places: IntArray, live: BoolArray, chosen: BoolArray, m: int
-) -> tuple[IntArray, IntArray]:
-    """The chosen tracks, cluster by cluster, and where each cluster begins."""
-    n = chosen.size
-    parent, owner = np.arange(n), np.full(m, -1)
-    for t in range(n):
-        for e in range(start[t], start[t + 1] if chosen[t] else 0):
-            if live[e] and owner[places[e]] < 0:
-                owner[places[e]] = t
-            elif live[e]:
-                a, b = _root(parent, owner[places[e]]), _root(parent, t)
-                parent[max(a, b)] = min(a, b)
-    number, place = np.full(n, -1), np.zeros(n + 1, np.int64)
-    k = 0
-    for t in range(n):
-        if not chosen[t]:
-            continue
-        root = _root(parent, t)
-        if number[root] < 0:
-            number[root] = k
-            k += 1
-        number[t] = number[root]
-        place[number[t] + 1] += 1
-    first = np.cumsum(place[: k + 1])
-    place[: k + 1] = first
-    tracks = np.empty(first[k], np.int64)
-    for t in range(n):
-        if chosen[t]:
-            tracks[place[number[t]]] = t
-            place[number[t]] += 1
-    return tracks, first
-
-
-@compiled
-def _root(parent: IntArray, t: int) -> int:
-    while parent[t] != t:
-        parent[t] = parent[parent[t]]
-        t = parent[t]
-    return t
+def _all_clusters(
+    chosen: BoolArray,
+    start: IntArray,
+    places: IntArray,
+    ratio: FloatArray,
+    live: BoolArray,
+    work: IntArray,
+    max_shared: int,
+    sharing: int,
+    budget: IntArray,
+    beta: FloatArray,
+    beta_none: FloatArray,
+) -> int:
+    """Fills beta and beta_none of the chosen tracks; gives how many of their clusters are approximate."""
+    tracks, first = clusters(start, places, live, chosen, work.size)
+    approximate = 0
+    for c in range(first.size - 1):
+        if sharing == JOINT and first[c + 1] - first[c] == 1:
+            _one_track(tracks[first[c]], start, ratio, live, beta, beta_none)
+        else:
+            members = tracks[first[c] : first[c + 1]]
+            approximate += _cluster(
+                members, start, places, ratio, live, work, max_shared, sharing, budget, beta, beta_none
+            )
+    return approximate
 
 
 @compiled
@@ -199,14 +188,10 @@ def _cluster(
 
     `work` (m,) is all -1, and so again afterwards.
     """
-    if sharing == INDEPENDENT or (sharing == JOINT and members.size == 1):
-        for t in members:
-            _one_track(t, start, ratio, live, beta, beta_none)
-        return False
     if sharing == JOINT and members.size == 2:
         _two_tracks(members[0], members[1], start, places, ratio, live, beta, beta_none)
         return False
-    first, pairs, detection, m = _local(members, start, places, live, work)
+    first, pairs, detection, m = cluster_pairs(members, start, places, live, work)
     if sharing == ASSIGNED:
         beta[pairs], beta_none[members] = most_probable(first, detection, ratio[pairs], m)
         return False
@@ -264,28 +249,3 @@ def _two_tracks(
         beta_none[one] /= total
         for e in range(start[one], start[one + 1]):
             beta[e] /= total
-
-
-@compiled
-def _local(
-    members: IntArray, start: IntArray, places: IntArray, live: BoolArray, work: IntArray
-) -> tuple[IntArray, IntArray, IntArray, int]:
-    """The cluster's live pairs: first (n + 1,) of each track, their places, their detections from 0 on."""
-    n = members.size
-    first, room = np.zeros(n + 1, np.int64), 0
-    for i in range(n):
-        room += start[members[i] + 1] - start[members[i]]
-    pairs, detection = np.empty(room, np.int64), np.empty(room, np.int64)
-    k = m = 0
-    for i in range(n):
-        for e in range(start[members[i]], start[members[i] + 1]):
-            if live[e]:
-                if work[places[e]] < 0:
-                    work[places[e]] = m
-                    m += 1
-                pairs[k], detection[k] = e, work[places[e]]
-                k += 1
-        first[i + 1] = k
-    for e in pairs[:k]:
-        work[places[e]] = -1
-    return first, pairs[:k].copy(), detection[:k].copy(), m

@@ -35,6 +35,7 @@ class DiverTracker:
     amplitude_sd: float | None = None
     group_m: float = 2.0
     resolution_m: float | None = None
+    meeting_m: float | None = None
     m1: int = 10
     n1: int = 5
     start_score: float = 12.0

@@ -18,13 +18,14 @@ from fls_trackers.adaptive_noise import NOISE_COLUMNS, predict_each
 from fls_trackers.clutter import ClutterDensity, cell_density
 from fls_trackers.conversion import convert
 from fls_trackers.echo_strength import STRENGTH_COLUMNS, begun_strength, strengths
+from fls_trackers.encounters import MEETING_COLUMNS, Scan, encounters
 from fls_trackers.fusion import Fusion, fused
 from fls_trackers.grouping import grouped
 from fls_trackers.initiation import by_place, strongest
 from fls_trackers.placement import Placement, check_finite
 from fls_trackers.settings import Grain, Settings
 from fls_trackers.single_target import follow, settle_by_score
-from fls_trackers.track_bank import MAX_WINDOW, TrackBank, new_tracks
+from fls_trackers.track_bank import MAX_WINDOW, Ledger, TrackBank, new_tracks
 
 __all__ = ["DiverTracks", "Sharing"]
 
@@ -37,12 +38,28 @@ Sharing = Literal["joint", "own"]
 TENTATIVE, LOST = int(TrackStatus.TENTATIVE), int(TrackStatus.LOST)
 
 
-def _no_noise() -> FloatArray:
-    return np.zeros((0, NOISE_COLUMNS))
+class _Tables(NamedTuple):
+    """What is known of the tracks besides where they are; a row each."""
+
+    noise: FloatArray  # (n, NOISE_COLUMNS)
+    strength: FloatArray  # (n, STRENGTH_COLUMNS)
+    meeting: FloatArray  # (n, MEETING_COLUMNS)
+
+    def select(self, which: npt.NDArray[Any]) -> _Tables:
+        return _Tables(*(table[which] for table in self))
+
+    def joined(self, other: _Tables) -> _Tables:
+        return _Tables(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+
+    @classmethod
+    def begun(cls, ln_amplitude: FloatArray) -> _Tables:
+        """Those of tracks that begin with one event each."""
+        n = ln_amplitude.size
+        return cls(np.zeros((n, NOISE_COLUMNS)), begun_strength(ln_amplitude), np.zeros((n, MEETING_COLUMNS)))
 
 
-def _no_strength() -> FloatArray:
-    return np.zeros((0, STRENGTH_COLUMNS))
+def _no_tables() -> _Tables:
+    return _Tables.begun(np.zeros(0))
 
 
 class _Events(NamedTuple):
@@ -72,14 +89,14 @@ class DiverTracks:
     fusion: Fusion
     group_m: float
     resolution_m: float | None
+    meeting_m: float | None
     extent_sd_m: float
     amplitude_sd: float | None
     estimate_noise: bool
     max_tracks: int
 
     _bank: TrackBank = field(default_factory=TrackBank, init=False, repr=False)
-    _noise: FloatArray = field(default_factory=_no_noise, init=False, repr=False)
-    _strength: FloatArray = field(default_factory=_no_strength, init=False, repr=False)
+    _tables: _Tables = field(default_factory=_no_tables, init=False, repr=False)
     _clutter: ClutterDensity = field(init=False, repr=False)
     _place: Placement = field(init=False, repr=False)
     _next_id: int = field(default=1, init=False, repr=False)
@@ -92,7 +109,7 @@ class DiverTracks:
         for name, allowed in (("fusion", get_args(Fusion)), ("sharing", get_args(Sharing))):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be {' or '.join(allowed)}")
-        for name in ("velocity_walk_mps", "amplitude_sd"):
+        for name in ("velocity_walk_mps", "amplitude_sd", "meeting_m"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < math.inf:
                 raise ValueError(f"{name} = {value}: must be positive")
@@ -120,11 +137,11 @@ class DiverTracks:
         check_finite(detections)
         grain, pose = self._place.grain_of(detections.view), self._place.pose(detections)
         if pose is None:
-            shown, noise, strength = self._unseen(dt_s)
+            shown, tables = self._unseen(dt_s), self._tables
         else:
-            shown, noise, strength = self._seen(self._events(detections, grain, pose), dt_s, pose, grain)
+            shown, tables = self._seen(self._events(detections, grain, pose), dt_s, pose, grain)
         goes_on = shown.ledger["status"] != LOST
-        self._bank, self._noise, self._strength = shown.select(goes_on), noise[goes_on], strength[goes_on]
+        self._bank, self._tables = shown.select(goes_on), tables.select(goes_on)
         self._place.stamp_ns = detections.stamp_ns
         return shown.message(detections.seq, detections.stamp_ns, self.frame)
 
@@ -140,18 +157,16 @@ class DiverTracks:
         y, R0 = convert(r, b, grain.range_sd_m, grain.bearing_sd_rad, pose)
         return _Events(r, b, level, y, R0 + self.extent_sd_m**2 * np.eye(2))
 
-    def _unseen(self, dt_s: float) -> tuple[TrackBank, FloatArray, FloatArray]:
+    def _unseen(self, dt_s: float) -> TrackBank:
         """The predicted tracks of a ping that could not be placed."""
         bank = self._bank
-        x, P = predict_each(bank.state, bank.covariance, dt_s, self.velocity_walk_mps, self._noise)
+        x, P = predict_each(bank.state, bank.covariance, dt_s, self.velocity_walk_mps, self._tables.noise)
         ledger = bank.ledger.copy()
         ledger["age"] += 1
-        return TrackBank(x, P, ledger), self._noise, self._strength
+        return TrackBank(x, P, ledger)
 
-    def _seen(
-        self, events: _Events, dt_s: float, pose: Pose, grain: Grain
-    ) -> tuple[TrackBank, FloatArray, FloatArray]:
-        """Tracks that go on, are lost, or begin, with what they learnt of noise and strength."""
+    def _seen(self, events: _Events, dt_s: float, pose: Pose, grain: Grain) -> tuple[TrackBank, _Tables]:
+        """Tracks that go on, are lost, or begin, with what is known of them."""
         s, bank = self.settings, self._bank
         clutter = self._clutter.terms(events.range_m, events.bearing_rad, grain.area_m2)
         p_g, ln_amplitude = s.gate_probability, strengths(events.amplitude)
@@ -160,8 +175,8 @@ class DiverTracks:
             bank.state,
             bank.covariance,
             bank.ledger,
-            self._noise,
-            self._strength,
+            self._tables.noise,
+            self._tables.strength,
             events.y,
             ln_amplitude,
             cell_density(events.range_m, clutter[0], grain.cell_m, grain.spacing_rad, clutter[1]),
@@ -187,13 +202,34 @@ class DiverTracks:
         for t in np.flatnonzero(part >= 0):
             other = part[t]
             x[other], P[other] = fused(x[other], P[other], x[t], P[t], self.fusion)
+        tables = _Tables(noise, strength, self._tables.meeting)
+        x, P, tables = self._told_apart(rows, keep, x, P, tables, event, ln_amplitude, dt_s)
         shown = np.flatnonzero(keep | (rows["status"] == LOST))
         which = self._chosen(events, ~known, self.max_tracks - int(np.count_nonzero(keep)))
         return (
             TrackBank(x, P, rows).select(shown).joined(self._starts(events, which)),
-            np.concatenate([noise[shown], np.zeros((which.size, NOISE_COLUMNS))]),
-            np.concatenate([strength[shown], begun_strength(ln_amplitude[which])]),
+            tables.select(shown).joined(_Tables.begun(ln_amplitude[which])),
         )
+
+    def _told_apart(
+        self,
+        rows: Ledger,
+        keep: BoolArray,
+        x: FloatArray,
+        P: FloatArray,
+        tables: _Tables,
+        event: IntArray,
+        ln_amplitude: FloatArray,
+        dt_s: float,
+    ) -> tuple[FloatArray, FloatArray, _Tables]:
+        """States, covariances and tables, exchanged between tracks that met and parted with the wrong one."""
+        if self.meeting_m is None:
+            return x, P, tables
+        status = np.where(keep, rows["status"], LOST)
+        scan = Scan(frozen(rows["id"]), status, x, P, tables.strength, event, ln_amplitude)
+        walk, amplitude_sd = (dt_s, self.velocity_walk_mps), self.amplitude_sd or 0.0
+        meeting, path = encounters(tables.meeting, scan, walk, self.meeting_m, amplitude_sd)
+        return x[path], P[path], _Tables(tables.noise[path], tables.strength[path], meeting)
 
     def _chosen(self, events: _Events, free: BoolArray, room: int) -> IntArray:
         """Which of the `free` events start tracks: at most `room`, the strongest ones, by place."""
@@ -215,8 +251,9 @@ class DiverTracks:
         return {
             **self._bank.snapshot(),
             **self._clutter.snapshot(),
-            "noise": self._noise.copy(),
-            "strength": self._strength.copy(),
+            "noise": self._tables.noise.copy(),
+            "strength": self._tables.strength.copy(),
+            "meeting": self._tables.meeting.copy(),
             "next_id": self._next_id,
             "stamp_ns": self._place.stamp_ns,
         }
@@ -225,8 +262,11 @@ class DiverTracks:
         """Go on from a snapshot of a node with the same parameters."""
         self._bank = TrackBank.restored(saved)
         self._clutter.restore(saved)
-        self._noise = np.array(saved["noise"], float).reshape(-1, NOISE_COLUMNS)
-        self._strength = np.array(saved["strength"], float).reshape(-1, STRENGTH_COLUMNS)
+        self._tables = _Tables(
+            np.array(saved["noise"], float).reshape(-1, NOISE_COLUMNS),
+            np.array(saved["strength"], float).reshape(-1, STRENGTH_COLUMNS),
+            np.array(saved["meeting"], float).reshape(-1, MEETING_COLUMNS),
+        )
         self._next_id = int(saved["next_id"])
         stamp = saved["stamp_ns"]
         self._place.stamp_ns = None if stamp is None else int(stamp)

@@ -41,6 +41,9 @@ def pairs_in_gates(
     start = np.zeros(n + 1, np.int64)
     room = 4 * n + m
     index, likelihood = np.empty(room, np.int64), np.empty(room)
+    y1, y2 = y[:, 0].copy(), y[:, 1].copy()
+    near = np.zeros((m + 7) // 8 * 8, np.uint8)
+    words = near.view(np.uint64)
     k = 0
     for t in range(n):
         s11 = covariance[t, 0, 0] + R[t, 0, 0]
@@ -48,23 +51,39 @@ def pairs_in_gates(
         s22 = covariance[t, 1, 1] + R[t, 1, 1]
         det = s11 * s22 - s12 * s12
         peak = 1.0 / (2.0 * math.pi * math.sqrt(det))
-        reach = math.sqrt(gamma * s11) * (1.0 + 1e-9)  # the ellipse's half extent along x
         px, py = state[t, 0], state[t, 1]
+        _around(y1, y2, px, py, math.sqrt(gamma * s11), math.sqrt(gamma * s22), near)
         if k + m > room:
             room = 2 * (k + m)
             index, likelihood = _longer(index, likelihood, k, room)
-        for j in range(m):
-            e1 = y[j, 0] - px
-            if abs(e1) > reach:
-                continue
-            e2 = y[j, 1] - py
-            d2 = (e1 * (s22 * e1 - s12 * e2) + e2 * (s11 * e2 - s12 * e1)) / det
-            if d2 <= gamma:
-                index[k] = j
-                likelihood[k] = peak * math.exp(-0.5 * d2)
-                k += 1
+        for word in range(words.size):
+            for j in range(8 * word, 8 * word + 8 if words[word] else 0):
+                if not near[j]:
+                    continue
+                e1, e2 = y1[j] - px, y2[j] - py
+                d2 = (e1 * (s22 * e1 - s12 * e2) + e2 * (s11 * e2 - s12 * e1)) / det
+                if d2 <= gamma:
+                    index[k] = j
+                    likelihood[k] = peak * math.exp(-0.5 * d2)
+                    k += 1
         start[t + 1] = k
     return start, index[:k].copy(), likelihood[:k].copy()
+
+
+@compiled
+def _around(
+    y1: FloatArray,
+    y2: FloatArray,
+    x1: float,
+    x2: float,
+    reach1: float,
+    reach2: float,
+    near: npt.NDArray[np.uint8],
+) -> None:
+    """Flags the measurements in the rectangle around an ellipse with these half extents."""
+    far1, far2 = reach1 * (1.0 + 1e-9), reach2 * (1.0 + 1e-9)
+    for j in range(y1.size):
+        near[j] = (abs(y1[j] - x1) <= far1) & (abs(y2[j] - x2) <= far2)
 
 
 @compiled

@@ -14,6 +14,8 @@ __all__ = ["grouped"]
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+LOUDEST = 1e150  # of which sums are still finite
+
 
 @compiled
 def grouped(
@@ -23,7 +25,8 @@ def grouped(
 
     The strongest event that is in no group yet leads the next one, which takes all events within `reach_m` of
     it that are in none. A group lies at the mean of its events, weighted by amplitude (equally where that is
-    not positive). The result does not depend on the order of the events, unless amplitudes are equal.
+    not positive; none counts for more than `LOUDEST`). The result does not depend on the order of the
+    events, unless amplitudes are equal.
     """
     m = range_m.size
     group = np.full(m, -1)
@@ -31,7 +34,7 @@ def grouped(
     level = np.empty(m)
     for j in range(m):
         x[j], y[j] = range_m[j] * math.cos(bearing_rad[j]), range_m[j] * math.sin(bearing_rad[j])
-        level[j] = amplitude[j] if amplitude[j] > 0.0 else 0.0
+        level[j] = min(amplitude[j], LOUDEST) if amplitude[j] > 0.0 else 0.0
     k = 0
     weight, total_r, total_b = np.zeros(m), np.zeros(m), np.zeros(m)
     for leader in np.argsort(-level, kind="mergesort"):

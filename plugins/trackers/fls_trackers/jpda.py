@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import ClassVar
 
-from fls_flow import Detections, Tracks, hookimpl
+from fls_flow import hookimpl
 from fls_trackers.association import JOINT
-from fls_trackers.multi_target import MultiTarget
-from fls_trackers.settings import Parameters
+from fls_trackers.multi_target import MultiTargetNode
 
 __all__ = ["Jpda", "fls_node"]
 
 
 @dataclass
-class Jpda(Parameters):
+class Jpda(MultiTargetNode):
     """Tracks of the objects that detections come from, each in every ping until it is lost.
 
     Detections become Cartesian by debiased conversion; each track follows nearly constant velocity and is
@@ -51,22 +50,7 @@ class Jpda(Parameters):
 
     max_shared: int = 14
 
-    _tracker: MultiTarget = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        self._tracker = MultiTarget.of(vars(self), JOINT)
-
-    def __call__(self, detections: Detections) -> Tracks:
-        """The tracks at the stamp of `detections`, after its update."""
-        return self._tracker(detections)
-
-    def snapshot(self) -> dict[str, Any]:
-        """Everything that later outputs depend on, as copies."""
-        return self._tracker.snapshot()
-
-    def restore(self, saved: dict[str, Any]) -> None:
-        """Go on from a snapshot of a node with the same parameters."""
-        self._tracker.restore(saved)
+    sharing: ClassVar[int] = JOINT
 
 
 @hookimpl

@@ -21,6 +21,7 @@ __all__ = [
     "distance",
     "judge",
     "largest_sd",
+    "near",
     "ones",
     "settle",
     "suspect",
@@ -244,13 +245,10 @@ def _rival(
 ) -> int:
     """The oldest of the tracks `near_by` that track i may repeat; -1: none."""
     for j in range(i):
-        if near_by[j] and not repeats[j] and status[j] >= status[i]:
-            near = True
-            for a in range(2, 4):
-                reach = MERGE_GATE * (covariance[i, a, a] + covariance[j, a, a])
-                near &= (state[i, a] - state[j, a]) ** 2 <= reach
-            if near and distance(state, covariance, i, j, scratch) <= MERGE_GATE:
-                return j
+        if not near_by[j] or repeats[j] or status[j] < status[i]:
+            continue
+        if near(state, covariance, i, j, MERGE_GATE, scratch):
+            return j
     return -1
 
 
@@ -273,3 +271,13 @@ def distance(state: FloatArray, covariance: FloatArray, i: int, j: int, scratch:
         scratch[4, a] = z / scratch[a, a]
         d2 += scratch[4, a] ** 2
     return d2
+
+
+@compiled
+def near(state: FloatArray, covariance: FloatArray, i: int, j: int, gate: float, scratch: FloatArray) -> bool:
+    """Whether the `distance` of tracks i and j is at most `gate`; that along an axis is no more."""
+    for a in range(4):
+        reach = (1.0 + 1e-9) * gate * (covariance[i, a, a] + covariance[j, a, a])
+        if (state[i, a] - state[j, a]) ** 2 > reach:
+            return False
+    return distance(state, covariance, i, j, scratch) <= gate

@@ -13,9 +13,19 @@ from fls_flow.geometry import Pose, sensor_pose, turn
 from fls_flow.messages import Frame
 from fls_trackers.tbd_bank import RATE_CELL_MPS, Bank, Rules
 from fls_trackers.tbd_births import Past, Peaks, fresh_scouts
+from fls_trackers.tbd_evidence import halves
 from fls_trackers.tbd_grid import Grid, Motion, Place, grid_from, grid_of, own_motion, place_from
-from fls_trackers.tbd_ratio import NO_PLANE, Plane, RatioMap, candidates, power_correlation, ratio_map
-from fls_trackers.tbd_scouts import COLUMNS, RANGE, FloatArray, best_of_cells, followed, predicted
+from fls_trackers.tbd_ratio import NO_PLANE, Codes, Plane, RatioMap, candidates, power_correlation, ratio_map
+from fls_trackers.tbd_scouts import (
+    COLUMNS,
+    RANGE,
+    FloatArray,
+    best_of_cells,
+    by_range,
+    followed,
+    predicted,
+    with_agile,
+)
 from fls_trackers.tbd_tables import Tables, tables_of
 from fls_trackers.tbd_tracks import cartesian
 
@@ -23,6 +33,9 @@ __all__ = ["MultiPingIntegration"]
 
 MEMORY = 0.1  # weight of the newest ping in the clutter's correlation
 CAUTION = 0.95  # share of the correlation that is trusted: too much would make false tracks
+AGILE_SCORE = 5.0  # of a scout whose target may manoeuvre
+AGILE_ODDS = 8.0  # against that
+KINDS = 4  # of pairs, by how long ago and how high the older peak was, that share `max_scouts`
 CORRELATION_STEP = 1.0 / 32.0  # in which it is used
 
 
@@ -41,14 +54,16 @@ class MultiPingIntegration:
     Two peaks of `peak_power` times the clutter, of now and of one of the last two pings, within `v_max_mps`
     (and 2.5 `cross_mps` across), begin a path of nearly constant velocity. It is followed back through the
     last `look_back` pings; the likely ones become scouts, whose log ratios add up ping by ping and which the
-    ratios around them steer. At most `max_scouts` of the best live on.
+    ratios around them steer. At most `max_scouts` of the best live on. Targets accelerate by `sigma_v_mps2`,
+    white between pings, or by `agile_mps2` while they manoeuvre, as scouts of some score may too.
 
-    A scout of score `start_score` becomes a tentative track, which keeps the probabilities of all bearings,
-    so that the lobes of a sparse array compete inside it; within `exclusion_m` of range no other track
-    begins at any bearing, but in place of a much less likely tentative one. The track is confirmed at
-    ln(cells / false_per_ping): by Ville's inequality, at most `false_per_ping` false tracks per ping are
-    confirmed in clutter as assumed; as scouts begin at peaks only, they are some hundred times fewer. A track
-    ends when its score, at most 10 above that, has fallen by `keep_score`, or when its range is not known.
+    A scout of score `start_score` becomes a tentative track, which weighs both kinds of motion ping by ping.
+    It keeps the probabilities of all bearings, so that the lobes of a sparse array compete inside it; within
+    `exclusion_m` of range no other track begins at any bearing, but in place of a much less likely tentative
+    one. The track is confirmed at ln(cells / false_per_ping): by Ville's inequality, at most `false_per_ping`
+    false tracks per ping are confirmed in clutter as assumed; as scouts begin at peaks only, they are some
+    hundred times fewer. A track ends when its score, at most 10 above that, has fallen by `keep_score`, or
+    when its range is not known.
 
     Ranges and bearings must be even; a pulse of bandwidth B has `resolution_m` c / (2 B). With `frame: ned`
     own motion is taken out by `ping.nav`; without position or heading tracks are only predicted.
@@ -62,6 +77,7 @@ class MultiPingIntegration:
     snr_db: float = 3.0
     v_max_mps: float = 2.0
     sigma_v_mps2: float = 0.005
+    agile_mps2: float = 0.03
     cross_mps: float = 0.5
     resolution_m: float = 0.076
     beamwidth_deg: float = 2.2
@@ -89,7 +105,15 @@ class MultiPingIntegration:
     _stamp_ns: int | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        positive = ("v_max_mps", "sigma_v_mps2", "cross_mps", "resolution_m", "beamwidth_deg", "reference_m")
+        positive = (
+            "v_max_mps",
+            "sigma_v_mps2",
+            "agile_mps2",
+            "cross_mps",
+            "resolution_m",
+            "beamwidth_deg",
+            "reference_m",
+        )
         for name in (*positive, "peak_power", "max_gain", "keep_score", "false_per_ping"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be positive and finite, not {getattr(self, name)}")
@@ -124,11 +148,12 @@ class MultiPingIntegration:
         if grid != self._grid:
             self._changed(grid)
         self._pose = pose
-        ratios, rules = self._ratios(ping, grid), self._rules(grid)
-        tables = self._tables.levels if self._tables is not None else NO_PLANE
-        lost = self._bank.follow(ratios, tables, grid, motion, moved_rad, rules)
+        tables, rules = self._tables_for(grid), self._rules(grid)
+        ratios = self._ratios(ping, grid, tables)
+        half = halves(ratios.code, grid.closed)
+        lost = self._bank.follow(ratios, half, tables, grid, motion, moved_rad, rules)
         ended = self._bank.ended(lost)
-        self._search(ratios, grid, rules, pose, ping.stamp_ns)
+        self._search(ratios, half, grid, rules, pose, ping.stamp_ns)
         return self._message(ping, ended)
 
     def snapshot(self) -> dict[str, Any]:
@@ -148,10 +173,11 @@ class MultiPingIntegration:
         """Go on from a snapshot of a node with the same parameters."""
         self._bank = Bank.restored(saved)
         self._scouts = np.array(saved["scouts"], float).reshape(-1, COLUMNS)
-        self._past = [Past.restored(one) for one in saved["past"]]
         self._power = np.array(saved["power"], np.float32)
         self._correlation = float(saved["correlation"])
         self._grid = None if saved["grid"] is None else grid_from(saved["grid"])
+        closed = self._grid is not None and self._grid.closed
+        self._past = [Past.restored(one, closed) for one in saved["past"]]
         self._pose = None if saved["pose"] is None else place_from(saved["pose"])
         self._stamp_ns = None if saved["stamp_ns"] is None else int(saved["stamp_ns"])
 
@@ -177,14 +203,19 @@ class MultiPingIntegration:
             self._bank.on(grid)
         self._grid = grid
 
-    def _ratios(self, ping: Ping, grid: Grid) -> RatioMap:
-        guard = int(self.guard_m / grid.cell_m + 0.5)
-        reach = max(int(self.reference_m / grid.cell_m + 0.5), 8)
-        references = max(2.0 * reach * min(grid.cell_m / self.resolution_m, 1.0), 4.0)
+    def _reach(self, grid: Grid) -> int:
+        return max(int(self.reference_m / grid.cell_m + 0.5), 8)
+
+    def _tables_for(self, grid: Grid) -> Tables:
+        references = max(2.0 * self._reach(grid) * min(grid.cell_m / self.resolution_m, 1.0), 4.0)
         correlation = math.floor(CAUTION * self._correlation / CORRELATION_STEP) * CORRELATION_STEP
         tables = self._tables
         if tables is None or (tables.references, tables.correlation) != (references, correlation):
             tables = self._tables = tables_of(self.snr_db, references, self.max_gain, correlation)
+        return tables
+
+    def _ratios(self, ping: Ping, grid: Grid, tables: Tables) -> RatioMap:
+        guard, reach = int(self.guard_m / grid.cell_m + 0.5), self._reach(grid)
         ratios = ratio_map(
             ping.amplitude, ping.valid, self._power, tables.expected, guard, reach, tables.weakest
         )
@@ -198,25 +229,32 @@ class MultiPingIntegration:
     def _rules(self, grid: Grid) -> Rules:
         limit = float(np.log(grid.resolution_cells / self.false_per_ping))
         level = 10.0 ** (self.snr_db / 10.0)
-        return Rules(self.start_score, limit, self.keep_score, self.exclusion_m, self.max_tracks, level)
+        sigmas = (self.sigma_v_mps2, self.agile_mps2)
+        return Rules(
+            self.start_score, limit, self.keep_score, self.exclusion_m, self.max_tracks, level, sigmas
+        )
 
-    def _search(self, ratios: RatioMap, grid: Grid, rules: Rules, pose: Place, stamp_ns: int) -> None:
+    def _search(
+        self, ratios: RatioMap, half: Codes, grid: Grid, rules: Rules, pose: Place, stamp_ns: int
+    ) -> None:
         """Take the scouts through the ping, begin new ones, and make tracks of the best."""
         row, beam = candidates(ratios.power, self.peak_power, grid.closed, 2 * self.max_scouts)
         peaks = Peaks(row, beam, np.log(ratios.decoded[ratios.code[row, beam]]).astype(float))
         since = [self._motion(one.stamp_ns, one.pose, stamp_ns, pose) for one in self._past]
-        most = 4 * self.max_scouts
+        most = self.max_scouts // KINDS
         fresh = fresh_scouts(peaks, self._past, since, ratios.decoded, grid, most)
         now = Motion(0.0, self.v_max_mps, self.sigma_v_mps2, self.cross_mps, 0.0, 0.0, 0.0)
-        scouts = followed(self._scouts, ratios.code, ratios.decoded, grid, now)
+        scouts = followed(self._scouts, half, ratios.decoded, grid, now)
+        scouts = with_agile(scouts, self.agile_mps2, AGILE_SCORE, AGILE_ODDS)
         scouts = np.concatenate([scouts, fresh])
         settled = self._bank.confirmed & ~self._bank.astray
         scouts = scouts[~self._bank.near(scouts, settled, self.exclusion_m)]
         scouts = best_of_cells(scouts, grid, RATE_CELL_MPS, 0.0, self.max_scouts)
+        scouts = by_range(scouts)
         self._bank.recall(scouts, grid, rules)
         self._bank.begin(scouts, grid, rules)
         self._scouts = scouts
-        self._past = [Past(stamp_ns, pose, ratios.code, peaks), *self._past[: self.look_back - 1]]
+        self._past = [Past(stamp_ns, pose, half, peaks), *self._past[: self.look_back - 1]]
 
     def _message(self, ping: Ping, ended: Bank) -> Tracks:
         """All tracks at the ping's stamp, and the confirmed ones that it has ended as lost."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -19,10 +19,10 @@ from fls_trackers.kalman import predict
 from fls_trackers.life import Rules, settle
 from fls_trackers.placement import Placement, check_finite
 from fls_trackers.scan import Fixed, Method, Scanned, Starts, scan
-from fls_trackers.settings import Grain, Settings, settings_of
+from fls_trackers.settings import Grain, Parameters, Settings, settings_of
 from fls_trackers.track_bank import TrackBank
 
-__all__ = ["MultiTarget"]
+__all__ = ["MultiTarget", "MultiTargetNode"]
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -179,3 +179,26 @@ class MultiTarget:
         self._next_id = int(saved["next_id"])
         stamp = saved["stamp_ns"]
         self._place.stamp_ns = None if stamp is None else int(stamp)
+
+
+@dataclass
+class MultiTargetNode(Parameters):
+    """A node that tracks many objects; a kind says how measurements are shared out, and `jpda` the rest."""
+
+    sharing: ClassVar[int]  # of `association`
+    _tracker: MultiTarget = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._tracker = MultiTarget.of(vars(self), self.sharing)
+
+    def __call__(self, detections: Detections) -> Tracks:
+        """The tracks at the stamp of `detections`, after its update."""
+        return self._tracker(detections)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that later outputs depend on, as copies."""
+        return self._tracker.snapshot()
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go on from a snapshot of a node with the same parameters."""
+        self._tracker.restore(saved)

@@ -12,15 +12,15 @@ import numpy.typing as npt
 from fls_flow import Detections, Ping, Tracks, TrackStatus, hookimpl
 from fls_flow.geometry import Pose, to_polar
 from fls_flow.messages import Frame
-from fls_trackers.auction import Pairs, auctioned, solved
 from fls_trackers.ncv_bank import ROW, NcvBank
+from fls_trackers.ncv_choice import Choice
 from fls_trackers.ncv_conversion import Debiased, Polar
 from fls_trackers.ncv_life import Life
 from fls_trackers.ncv_lobes import Lobes
 from fls_trackers.ncv_memory import ClutterMemory, Recall
 from fls_trackers.ncv_scan import BlobDensity, Scan, pose_of, scan_of
-from fls_trackers.ncv_score import in_memory, turns
-from fls_trackers.ncv_steps import blobs_in_gates, log_likelihoods
+from fls_trackers.ncv_score import in_memory
+from fls_trackers.ncv_steps import log_likelihoods
 
 __all__ = ["NcvAuction"]
 
@@ -108,6 +108,7 @@ class NcvAuction:
     _density: BlobDensity = field(default=BlobDensity(), init=False, repr=False)
     _memory: ClutterMemory = field(default_factory=ClutterMemory, init=False, repr=False)
     _conversion: Debiased | Polar = field(init=False, repr=False)
+    _choice: Choice = field(init=False, repr=False)
     _life: Life = field(init=False, repr=False)
     _lobes: Lobes = field(init=False, repr=False)
     _warned: bool = field(default=False, init=False, repr=False)
@@ -134,6 +135,16 @@ class NcvAuction:
                 raise ValueError(f"{name} must be {' or '.join(allowed)}, not {getattr(self, name)!r}")
         conversion = Polar if self.conversion == "polar" else Debiased
         self._conversion = conversion(self.range_sd_m, float(np.radians(self.bearing_sd_deg)))
+        self._choice = Choice(
+            self.gate_range_m,
+            self.gate_bearing_deg,
+            self.gate_threshold,
+            self.assignment,
+            self.cost,
+            self.priority,
+            self.p_d,
+            self._conversion,
+        )
         self._life = Life(
             self.confirm_hits,
             self.confirm_score,
@@ -188,10 +199,6 @@ class NcvAuction:
         self._stamp_ns = None if saved["stamp_ns"] is None else int(saved["stamp_ns"])
         self._memory = ClutterMemory.restored(saved["memory"])
 
-    @property
-    def _miss(self) -> float:
-        return float(np.log(1.0 - self.p_d * (1.0 - self.gate_threshold)))
-
     def _after(self, d: Detections, recalled: Recall, pose: Pose) -> NcvBank:
         """The tracks after a ping, also those that end, then those that begin."""
         scan = scan_of(
@@ -214,65 +221,26 @@ class NcvAuction:
         near, _ = to_polar(scan.pose.to_sensor(bank.at(stamp_ns, self.sigma_v_mps2)[0][:, :2]))
         expected_ns = stamp_ns + np.rint(near / scan.sound_speed_mps * 1e9).astype(np.int64)
         state, covariance = bank.at(np.maximum(expected_ns, rows["time_ns"]), self.sigma_v_mps2)
-        got = self._assigned(scan, state, covariance)
+        gains = self._choice.gains(scan, self._density.mean)
+        got = self._choice.blobs(bank, scan, state, covariance, gains)
         seen = np.flatnonzero(got >= 0)
         time_ns = rows["time_ns"].copy()
         time_ns[seen] = np.maximum(scan.time_ns[got[seen]], time_ns[seen])
         x, P = bank.at(time_ns, self.sigma_v_mps2)
         nu = self._conversion.innovations(x[seen], scan, got[seen])
         R = self._conversion.noise(x[seen], scan.pose)
-        gain = log_likelihoods(nu, P[seen], R) + self._gains(scan)[got[seen]]
+        gain = log_likelihoods(nu, P[seen], R) + gains[got[seen]]
         gain = in_memory(gain, rows[seen], scan, got[seen])
         x[seen], P[seen] = self._conversion.updated(x[seen], P[seen], nu, scan.pose)
         new = rows.copy()
         new["time_ns"] = time_ns
-        new["score"][got < 0] += self._miss
+        new["score"][got < 0] += self._choice.miss
         new["score"][seen] += gain
         hits = rows["hits"][seen]
         new["level"][seen] = (rows["level"][seen] * hits + scan.level[got[seen]]) / (hits + 1)
         new["hits"][seen] += 1
         new["range_m"][seen], new["bearing_rad"][seen] = scan.polar[got[seen]].T
         return NcvBank(x, P, new), got
-
-    def _assigned(self, scan: Scan, state: FloatArray, covariance: FloatArray) -> IntArray:
-        got = np.full(len(state), -1)
-        for turn in turns(self._bank.rows, self.priority):
-            free = np.setdiff1d(np.arange(len(scan.y)), got)
-            who = np.flatnonzero(turn)
-            if not (who.size and free.size):
-                continue
-            pairs = self._pairs(scan, free, state[who], covariance[who])
-            chosen = (auctioned if self.assignment == "auction" else solved)(pairs, free.size)
-            got[who] = np.where(chosen >= 0, free[chosen], -1)
-        return got
-
-    def _pairs(self, scan: Scan, free: IntArray, state: FloatArray, covariance: FloatArray) -> Pairs:
-        R, axis = self._conversion.noise(state, scan.pose), self._conversion.axes(state, scan.pose)
-        polar = np.stack(to_polar(scan.pose.to_sensor(state[:, :2])), axis=1)
-        coarse = (self.gate_range_m, float(np.radians(self.gate_bearing_deg)))
-        gamma = -2.0 * float(np.log(self.gate_threshold))
-        gain = self._gains(scan)[free] if self.cost == "likelihood" else np.zeros(0)
-        return Pairs(
-            *blobs_in_gates(
-                state,
-                covariance,
-                R,
-                scan.y[free],
-                axis,
-                polar,
-                scan.polar[free],
-                coarse,
-                gamma,
-                gain,
-                self._miss,
-            )
-        )
-
-    def _gains(self, scan: Scan) -> FloatArray:
-        """ln(p_d / lambda) of the blobs with what their amplitudes say, (m,)."""
-        density = self._density.mean / np.maximum(scan.polar[:, 0], 1.0)
-        gains: FloatArray = scan.gain + np.log(self.p_d / density)
-        return gains
 
     def _begun(self, scan: Scan, free: IntArray, alive: int, seq: int) -> NcvBank:
         """Tentative tracks at the blobs that no track took."""

@@ -88,7 +88,8 @@ class BlobDensity:
     def after(self, d: Detections) -> BlobDensity:
         """With the blobs of one ping more."""
         depth = d.view.range_max_m - d.view.range_min_m
-        width = float(np.ptp(d.view.bearing_rad)) + abs(d.view.beam_spacing_rad) if depth > 0.0 else 0.0
+        seen = d.view.bearing_rad
+        width = float(np.ptp(seen)) + abs(d.view.beam_spacing_rad) if depth > 0.0 and seen.size else 0.0
         if not (depth > 0.0 and width > 0.0):
             depth, width = max(float(d.range_m.max(initial=0.0)), 1.0), 2.0 * np.pi
         pings = min(self.pings + 1, MEMORY)

@@ -49,6 +49,10 @@ class Pdaf(DiverTracker):
     shared one event rather than had two so many times more than the younger was updated before, at most 40,
     so that two swimmers who meet and part keep their tracks.
 
+    `meeting_m`: confirmed tracks that come nearer than that to each other, and part, may leave with each
+    other's swimmer. They then exchange their places, when velocity, speed and strength have said so for three
+    pings, by what they were while alone (None: never).
+
     With `frame: ned` tracks are in north and east; in a ping without position or heading they are only
     predicted.
 
@@ -56,8 +60,8 @@ class Pdaf(DiverTracker):
     was.
 
     Source: Brinkmann 2010, chapter 3, with its errors mended; joint events: Bar-Shalom & Li 1995, 6.2;
-    common events: Koch & van Keuk 1997; amplitudes: Lerro & Bar-Shalom 1990. Noise estimation, tentative
-    tracks and new tracks at any time are ours.
+    common events: Koch & van Keuk 1997; amplitudes: Lerro & Bar-Shalom 1990; meetings: Gabriel et al.
+    2003. Noise estimation, tentative tracks and new tracks at any time are ours.
     """
 
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from fls_flow import Detections
 from fls_flow.geometry import Pose
 from fls_flow.kernels import compiled, frozen
-from fls_trackers.association import ASSIGNED, INDEPENDENT, JOINT, evidence, shared_out
+from fls_trackers.association import ASSIGNED, INDEPENDENT, JOINT, LINEAR, evidence, shared_out
 from fls_trackers.clutter import cell_density
 from fls_trackers.conversion import measured, noise_of
 from fls_trackers.existence import chances, given_existence, weighted
@@ -22,6 +22,7 @@ from fls_trackers.gating import pairs_in_gates
 from fls_trackers.initiation import by_place, strongest
 from fls_trackers.kalman import predict, update
 from fls_trackers.life import TENTATIVE, Rules, judge
+from fls_trackers.linear import against_others
 from fls_trackers.settings import Grain, Settings
 from fls_trackers.track_bank import Ledger, TrackBank, begun, renewed
 
@@ -201,9 +202,16 @@ def _followed(
     for t in range(ledger.size):
         rank[t] = ledger[t].status == TENTATIVE
     chance = chances(ledger, rules[2])
-    weight = weighted(start, likelihood, chance, miss) if sharing == JOINT else likelihood
+    weight, way = likelihood, sharing
+    if sharing == JOINT:
+        weight = weighted(start, likelihood, chance, miss)
+    elif sharing == LINEAR:
+        weight, way = (
+            against_others(start, places, likelihood, density, rank, chance, 1.0 - miss),
+            INDEPENDENT,
+        )
     beta, none, taken, claimed, in_gate, approximate = shared_out(
-        start, places, weight, density, factor, rank, max_shared, sharing
+        start, places, weight, density, factor, rank, max_shared, way
     )
     if sharing == JOINT:
         given_existence(start, places, beta, none, taken, chance, miss)

@@ -14,7 +14,7 @@ from fls_trackers.conversion import noise_of
 from fls_trackers.echo_strength import agreeing, learned
 from fls_trackers.gating import pairs_in_gates
 from fls_trackers.kalman import update
-from fls_trackers.life import CONFIRMED, LOST, SEEN, TENTATIVE, UNRESOLVED, count, distance, largest_sd, ones
+from fls_trackers.life import CONFIRMED, LOST, SEEN, TENTATIVE, UNRESOLVED, count, largest_sd, near, ones
 from fls_trackers.track_bank import Ledger
 from fls_trackers.unresolved import common_events
 
@@ -258,8 +258,7 @@ def _other_self(
             row.rival = table[j].id
             if row.rival_pings < max_common:
                 return -1
-            near = distance(state, covariance, t, j, np.empty((5, 4))) <= SAME_GATE
-            return j if near else -1
+            return j if near(state, covariance, t, j, SAME_GATE, np.empty((5, 4))) else -1
         if table[j].id == row.rival:
             row.rival, row.rival_pings = 0, 0
     return -1
@@ -280,7 +279,9 @@ def _repeated(
     row, scratch = table[t], np.empty((5, 4))
     for j in range(table.size):
         senior = status[j] > status[t] or (status[j] == status[t] and j < t)
-        if not (senior and keep[j]) or distance(state, covariance, t, j, scratch) > SAME_GATE:
+        reach = 1.001 * SAME_GATE * (covariance[t, 0, 0] + covariance[j, 0, 0])
+        apart = (state[t, 0] - state[j, 0]) ** 2 > reach  # true of most: a call costs more
+        if apart or not (senior and keep[j] and near(state, covariance, t, j, SAME_GATE, scratch)):
             continue
         explained = 2.0 - none[t] - none[j]
         if row.rival != table[j].id:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -11,18 +12,22 @@ import numpy.typing as npt
 from fls_flow import TrackStatus
 from fls_flow.geometry import wrap
 from fls_trackers.tbd_grid import Grid, Motion
-from fls_trackers.tbd_ratio import Plane, RatioMap
+from fls_trackers.tbd_hypotheses import SWITCH, rival, weighed
+from fls_trackers.tbd_ratio import Codes, Plane, RatioMap
 from fls_trackers.tbd_scouts import (
     BEARING,
     COLUMNS,
     P_RR,
+    P_TT,
     RANGE,
     RATE,
     SCORE,
+    SIGMA,
     FloatArray,
     followed,
     predicted,
 )
+from fls_trackers.tbd_tables import Tables
 from fls_trackers.tbd_tracks import bearings_of, first_bearings, likeliest_bearing, spread_bearings
 
 __all__ = ["RATE_CELL_MPS", "Bank", "Rules"]
@@ -37,6 +42,7 @@ ROW = np.dtype(
         ("age", np.int64),
         ("level", np.float64),  # of its echoes over the clutter
         ("best", np.float64),  # score that it has had
+        ("doubt", np.float64),  # probability of the other hypothesis on its motion
     ]
 )
 RATE_CELL_MPS = 0.1  # paths closer than this in range rate count as one
@@ -46,6 +52,7 @@ LEVEL_MEMORY = 0.1  # weight of the newest echo in a track's level
 ASTRAY = 4.0  # by which a track's score has fallen when it is looked for around
 FOUND = 0.8  # share of `start_score` that a scout there needs to be taken for the track
 LEAD = 3.0  # by which a scout must be better than a tentative track that it takes the place of
+MARGIN_DB, SURE_DB = 2.0, 7.0  # a track is expected as strong as it was, less this, and up to that
 OPEN_ODDS, SETTLED_ODDS = 1.5, 10.0  # how much more probable another lobe must be, before and after
 NOW = Motion(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -59,13 +66,18 @@ class Rules(NamedTuple):
     exclusion_m: float
     max_tracks: int
     level: float  # power over clutter that a track is expected to have
+    sigmas_mps2: tuple[float, float]  # of a steady target, and of one that manoeuvres
 
 
 @dataclass
 class Bank:
-    """Tracks: paths as scouts have them, and beside each the probabilities of all bearings."""
+    """Tracks: paths as scouts have them, and beside each the probabilities of all bearings.
+
+    Each track has two: of a target that goes on steadily and of one that manoeuvres. `path` is the likelier.
+    """
 
     path: FloatArray = field(default_factory=lambda: np.zeros((0, COLUMNS)))
+    other: FloatArray = field(default_factory=lambda: np.zeros((0, COLUMNS)))
     belief: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (n, n_beams)
     row: npt.NDArray[np.void] = field(default_factory=lambda: np.zeros(0, ROW))
     next_id: int = 1
@@ -82,7 +94,7 @@ class Bank:
     def predict(self, motion: Motion) -> FloatArray:
         """Take all tracks to the next ping; by how much their bearings move, (n,)."""
         before = self.path[:, BEARING]
-        self.path = predicted(self.path, motion)
+        self.path, self.other = predicted(self.path, motion), predicted(self.other, motion)
         self.row = self.row.copy()
         self.row["age"] += 1
         return wrap(self.path[:, BEARING] - before)
@@ -93,7 +105,14 @@ class Bank:
         self.belief = np.array(places).reshape(len(self), grid.n_beams)
 
     def follow(
-        self, ratios: RatioMap, tables: Plane, grid: Grid, motion: Motion, moved_rad: FloatArray, rules: Rules
+        self,
+        ratios: RatioMap,
+        half: Codes,
+        tables: Tables,
+        grid: Grid,
+        motion: Motion,
+        moved_rad: FloatArray,
+        rules: Rules,
     ) -> BoolArray:
         """Take the tracks through a ping; which of them are lost, (n,).
 
@@ -102,16 +121,19 @@ class Bank:
         if not len(self):
             return np.zeros(0, bool)
         path, row, most = self.path, self.row, rules.limit + HEADROOM
-        sd = motion.sigma_v_mps2 * motion.dt_s**2 / np.maximum(path[:, RANGE], 1.0)
+        sd = path[:, SIGMA] * motion.dt_s**2 / np.maximum(path[:, RANGE], 1.0)
         belief = spread_bearings(self.belief, moved_rad, sd, grid)
-        belief, echo = bearings_of(path, belief, row["level"], ratios.excess, tables, grid)
-        stepped = followed(path, ratios.code, ratios.decoded, grid, NOW)
+        belief, echo = bearings_of(path, belief, row["level"], ratios.excess, tables.levels, grid)
+        stepped = self._stepped(half, tables.decoded, grid, rules)
         outside = np.isneginf(stepped[:, SCORE])
         row["level"] += np.where(outside, 0.0, LEVEL_MEMORY * (echo - row["level"]))
         row["hits"] += stepped[:, SCORE] > path[:, SCORE]
         stepped[:, SCORE] = np.minimum(stepped[:, SCORE], most)
         odds = np.where(self.confirmed, SETTLED_ODDS, OPEN_ODDS)
-        stepped = likeliest_bearing(stepped, belief, odds, grid)
+        moved = likeliest_bearing(stepped, belief, odds, grid)
+        over = moved[:, BEARING] != stepped[:, BEARING]
+        self.other[over, BEARING : P_TT + 1] = moved[over, BEARING : P_TT + 1]
+        stepped = moved
         self.path, self.belief = np.where(outside[:, None], path, stepped), belief
         row["best"] = np.maximum(row["best"], self.path[:, SCORE])
         row["status"][(self.path[:, SCORE] >= rules.limit) & ~outside] = TrackStatus.CONFIRMED
@@ -119,6 +141,20 @@ class Bank:
         lost = (self.path[:, SCORE] < least) | (outside & ~self.confirmed)
         lost |= np.sqrt(self.path[:, P_RR]) > WIDEST * grid.resolution_m
         return lost | self._repeats(grid)
+
+    def _stepped(self, half: Codes, decoded: Plane, grid: Grid, rules: Rules) -> FloatArray:
+        """The paths after a ping, each scored by the ratios of targets about as strong as its own."""
+        least_db = 10.0 * math.log10(rules.level)
+        level_db = 10.0 * np.log10(np.maximum(self.row["level"], 1.0)) - MARGIN_DB
+        level = np.rint(np.clip(level_db, least_db, max(SURE_DB, least_db)))
+        level = np.clip(level, 1, len(decoded)).astype(np.int64) - 1
+        path, other = self.path.copy(), self.other.copy()
+        other[:, SCORE] = path[:, SCORE]
+        for one in np.unique(level):
+            path[level == one] = followed(path[level == one], half, decoded[one], grid, NOW)
+            other[level == one] = followed(other[level == one], half, decoded[one], grid, NOW)
+        stepped, self.other, self.row["doubt"] = weighed(self.path[:, SCORE], path, other, self.row["doubt"])
+        return stepped
 
     def _repeats(self, grid: Grid) -> BoolArray:
         """Which tracks have come to be where another one of a higher score is, (n,)."""
@@ -161,6 +197,8 @@ class Bank:
                 kept = max(self.path[t, SCORE], score.max())
                 self.path[t] = scouts[score.argmax()]
                 self.path[t, SCORE] = self.row["best"][t] = kept
+                self.other[t] = rival(self.path[t, None], rules.sigmas_mps2)[0]
+                self.row["doubt"][t] = SWITCH
 
     def begin(self, scouts: FloatArray, grid: Grid, rules: Rules) -> None:
         """Make tracks of the best scouts, in place of tentative ones near that are much worse."""
@@ -181,17 +219,18 @@ class Bank:
         belief = first_bearings(scouts[along, BEARING], scouts[along, SCORE], grid)
         row = np.zeros(1, ROW)
         row["id"], row["hits"], row["age"], row["level"] = self.next_id, 2, 1, rules.level
-        row["best"] = one[SCORE]
+        row["best"], row["doubt"] = one[SCORE], SWITCH
         row["status"] = TrackStatus.CONFIRMED if one[SCORE] >= rules.limit else TrackStatus.TENTATIVE
         self.next_id += 1
         self.row = np.concatenate([self.row, row])
         self.path = np.concatenate([self.path, one[None]])
+        self.other = np.concatenate([self.other, rival(one[None], rules.sigmas_mps2)])
         self.belief = np.concatenate([self.belief.reshape(-1, grid.n_beams), belief[None]])
 
     def ended(self, lost: BoolArray) -> Bank:
         """Take the lost tracks out; of them, those that were confirmed."""
         gone = lost & self.confirmed
-        ended = Bank(self.path[gone], np.zeros((0, 0)), self.row[gone].copy())
+        ended = Bank(self.path[gone], self.other[gone], np.zeros((0, 0)), self.row[gone].copy())
         ended.row["status"] = TrackStatus.LOST
         self.keep(~lost)
         return ended
@@ -199,12 +238,14 @@ class Bank:
     def keep(self, which: BoolArray) -> None:
         """Forget all other tracks."""
         if not which.all():
-            self.row, self.path, self.belief = self.row[which], self.path[which], self.belief[which]
+            self.row, self.belief = self.row[which], self.belief[which]
+            self.path, self.other = self.path[which], self.other[which]
 
     def snapshot(self) -> dict[str, Any]:
         """Everything that later outputs depend on, as copies."""
         rows = {name: self.row[name].copy() for name in ROW.names or ()}
-        return {"path": self.path.copy(), "belief": self.belief.copy(), "next_id": self.next_id, **rows}
+        paths = {"path": self.path.copy(), "other": self.other.copy()}
+        return {**paths, "belief": self.belief.copy(), "next_id": self.next_id, **rows}
 
     @classmethod
     def restored(cls, saved: dict[str, Any]) -> Bank:
@@ -212,5 +253,5 @@ class Bank:
         row = np.zeros(len(saved["id"]), ROW)
         for name in ROW.names or ():
             row[name] = saved[name]
-        path = np.array(saved["path"], float).reshape(-1, COLUMNS)
-        return cls(path, np.array(saved["belief"], float), row, int(saved["next_id"]))
+        path, other = (np.array(saved[name], float).reshape(-1, COLUMNS) for name in ("path", "other"))
+        return cls(path, other, np.array(saved["belief"], float), row, int(saved["next_id"]))

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_flow.kernels import compiled
+from fls_trackers.tbd_evidence import halves, wholes
 from fls_trackers.tbd_grid import Grid, Motion, Place, place_from
 from fls_trackers.tbd_ratio import Codes, Plane
 from fls_trackers.tbd_scouts import (
@@ -25,8 +26,10 @@ from fls_trackers.tbd_scouts import (
     RANGE,
     RATE,
     SCORE,
+    SIGMA,
     TURN,
     FloatArray,
+    by_range,
     followed,
 )
 
@@ -35,9 +38,9 @@ __all__ = ["Past", "Peaks", "born", "fresh_scouts"]
 IntArray = npt.NDArray[np.int64]
 
 LAGS = 2  # pings back that the first of two peaks may lie
-PAIR_SCORE = 1.0  # of two peaks whose path is looked at in the other pings
-LOOK_SCORE = -0.5  # below which a path is given up
-PATH_SCORE = 1.0  # of a path that becomes a scout
+PAIR_SCORE = 0.5  # of two peaks whose path is looked at in the other pings
+LOOK_SCORE = 0.0  # below which a path is given up, rising from ping to ping to
+PATH_SCORE = 1.0  # that of a path which becomes a scout
 CROSS_REACH = 2.5  # standard deviations of the speed across that pairs may show
 
 
@@ -58,22 +61,21 @@ class Past(NamedTuple):
 
     stamp_ns: int
     pose: Place
-    code: Codes
+    half: Codes  # as `halves` gives them
     peaks: Peaks
 
     def saved(self) -> dict[str, Any]:
         """As a snapshot holds it."""
         peaks = {name: values.copy() for name, values in self.peaks._asdict().items()}
-        return {"stamp_ns": self.stamp_ns, "pose": np.array(self.pose), "code": self.code.copy(), **peaks}
+        return {"stamp_ns": self.stamp_ns, "pose": np.array(self.pose), "code": wholes(self.half), **peaks}
 
     @classmethod
-    def restored(cls, saved: dict[str, Any]) -> Past:
-        """What a snapshot holds."""
+    def restored(cls, saved: dict[str, Any], closed: bool) -> Past:
+        """What a snapshot holds, of a closed ring or not."""
         row, beam = (np.array(saved[name], np.int64) for name in ("row", "beam"))
         peaks = Peaks(row, beam, np.array(saved["gain"], float))
-        return cls(
-            int(saved["stamp_ns"]), place_from(saved["pose"]), np.array(saved["code"], np.uint8), peaks
-        )
+        half = halves(np.array(saved["code"], np.uint8), closed)
+        return cls(int(saved["stamp_ns"]), place_from(saved["pose"]), half, peaks)
 
 
 def fresh_scouts(
@@ -88,9 +90,12 @@ def fresh_scouts(
     for lag in range(min(LAGS, len(past))):
         paths = pairs(peaks, past[lag].peaks, grid, since[lag], PAIR_SCORE + math.log(LAGS), most)
         paths[:, SCORE] -= math.log(LAGS)
-        for other in (one for one in range(len(past)) if one != lag):
-            paths = followed(paths, past[other].code, decoded, grid, since[other])
-            paths = paths[paths[:, SCORE] >= LOOK_SCORE]
+        paths = by_range(paths)
+        others = [one for one in range(len(past)) if one != lag]
+        for done, other in enumerate(others, 1):
+            paths = followed(paths, past[other].half, decoded, grid, since[other])
+            least = LOOK_SCORE + (PATH_SCORE - LOOK_SCORE) * done / len(others)
+            paths = paths[paths[:, SCORE] >= least]
         groups.append(paths[paths[:, SCORE] >= PATH_SCORE])
     return np.concatenate([np.zeros((0, COLUMNS)), *groups])
 
@@ -126,13 +131,13 @@ def born(
     highest = old_gain.max() if old_gain.size else -np.inf
     dt = since.dt_s
     reach = since.v_max_mps * dt / grid.cell_m
-    room, n = 4096, 0
-    scouts = np.empty((room, COLUMNS))
+    n, scouts = 0, np.empty((4096, COLUMNS))
     for b in range(grid.n_beams):
         bearing = grid.first_rad + b * grid.beam_rad
         c, s = math.cos(bearing + since.own_turn_rad), math.sin(bearing + since.own_turn_rad)
         own_m = since.own_x_m * c + since.own_y_m * s
         own_across_m = since.own_y_m * c - since.own_x_m * s
+        begin = old_first[:-1].copy()  # where the peaks of a beam begin that are not too near, row by row
         for a in range(first[b], first[b + 1]):
             range_m = grid.first_m + row[a] * grid.cell_m
             here = gain[a] - _log_window(range_m, grid, since)
@@ -146,18 +151,15 @@ def born(
                 if not grid.closed and not 0 <= k < grid.n_beams:
                     continue
                 col = k % grid.n_beams
-                low, high = old_first[col], old_first[col + 1]
-                e = low + np.searchsorted(old_row[low:high], middle - reach)
+                e, high = begin[col], old_first[col + 1]
+                while e < high and old_row[e] < middle - reach:
+                    e += 1
+                begin[col] = e
                 while e < high and old_row[e] - middle <= reach:
                     score = here + old_gain[e]
                     if score >= least:
-                        if n == room and room < most:
-                            room = min(2 * room, most)
-                            more = np.empty((room, COLUMNS))
-                            more[:n] = scouts
-                            scouts = more
-                        elif n == room:
-                            n, least = _better_half(scouts)
+                        if n == len(scouts):
+                            scouts, n, least = _with_room(scouts, least, most)
                         rate = (middle - old_row[e]) * grid.cell_m / dt
                         off = (k - b) * grid.beam_rad - turned_rad
                         _begin(scouts[n], range_m, rate, bearing, off, score, grid, since)
@@ -181,15 +183,19 @@ def _log_window(range_m: float, grid: Grid, since: Motion) -> float:
 
 
 @compiled
-def _better_half(scouts: FloatArray) -> tuple[int, float]:
-    """Move the better half to the front; how many, and what their like must score."""
+def _with_room(scouts: FloatArray, least: float, most: int) -> tuple[FloatArray, int, float]:
+    """Scouts in twice the room, up to `most`, or the better half; how many, and what the next must score."""
+    if scouts.shape[0] < most:
+        more = np.empty((min(2 * scouts.shape[0], most), COLUMNS))
+        more[: scouts.shape[0]] = scouts
+        return more, scouts.shape[0], least
     least = np.median(scouts[:, SCORE])
     n = 0
     for i in range(scouts.shape[0]):
         if scouts[i, SCORE] > least:
             scouts[n] = scouts[i]
             n += 1
-    return n, least
+    return scouts, n, least
 
 
 @compiled
@@ -219,7 +225,7 @@ def _begin(
     s[BEARING], s[TURN] = bearing + variance / total * off, -dt * turn / total * off
     s[P_BB], s[P_BT] = variance - variance**2 / total, variance * dt * turn / total
     s[P_TT] = turn - (dt * turn) ** 2 / total
-    s[SCORE], s[AGE] = score, 1.0
+    s[SCORE], s[AGE], s[SIGMA] = score, 1.0, since.sigma_v_mps2
 
 
 @compiled

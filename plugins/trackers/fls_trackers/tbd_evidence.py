@@ -3,40 +3,81 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from fls_flow.kernels import compiled
+from fls_flow.kernels import compiled, frozen
 from fls_trackers.tbd_grid import Grid
 from fls_trackers.tbd_ratio import Codes, Plane
 
-__all__ = ["LEAST", "Room", "evidence", "room"]
+__all__ = ["LEAST", "evidence", "halves", "scratch", "wholes"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 MOST_ROWS, MOST_BEAMS = 40, 20  # half cells and half beams that a scout looks at to either side of its place
+EDGE = MOST_BEAMS + 4  # columns before the first beam's, and behind the last one's
 INNER, OUTER = np.float32(0.5625), np.float32(0.0625)  # cubic interpolation half way
-WIDE = 3.0  # standard deviations, in half cells or beams, from which whole ones are close enough
+WIDE = 2.0  # standard deviations, in half cells or beams, from which whole ones are close enough
 LEAST = 0.7  # standard deviation, in half cells or beams, that a Gaussian needs to be sampled there
 BLUR = 0.14  # half cells or beams: what sums over them do not resolve
 
 
-class Room(NamedTuple):
-    """Where the sums are made."""
+def halves(code: Codes, closed: bool) -> Codes:
+    """A ping's codes (n_ranges, n_beams) at half cells and beams too, (2 n_ranges - 1, 2 n_beams + 2 EDGE).
 
-    codes: Plane  # rows by half beams
-    weights: FloatArray  # of the half beams
-    beams: IntArray  # the columns of whole ones
+    Those in between are interpolated, cubic, from the four cells or beams around. A closed ring goes on in
+    the columns at the edges; else the outermost beams do.
+    """
+    n_beams = code.shape[1]
+    beams = np.arange(-EDGE // 2 - 1, n_beams + EDGE // 2 + 2)
+    return _halves(frozen(code), beams % n_beams if closed else np.clip(beams, 0, n_beams - 1))
+
+
+def wholes(half: Codes) -> Codes:
+    """The codes (n_ranges, n_beams) that `halves` were made of, as a copy."""
+    return half[::2, EDGE:-EDGE:2].copy()
 
 
 @compiled
-def room() -> Room:
-    """Room for one sum after another."""
-    codes = np.empty((MOST_ROWS + 5, 2 * MOST_BEAMS + 1), np.float32)
-    return Room(codes, np.empty(2 * MOST_BEAMS + 1), np.empty(MOST_BEAMS + 5, np.int64))
+def _halves(code: Codes, beams: IntArray) -> Codes:
+    last, width = code.shape[0] - 1, 2 * (beams.size - 3)
+    out = np.empty((2 * last + 1, width), np.uint8)
+    lines = np.empty((4, width), np.float32)  # of the rows around
+    line = np.empty(beams.size, np.float32)
+    for i in range(-2, last + 1):
+        if i + 2 <= last:
+            _half_beams(lines[(i + 2) & 3], code[i + 2], beams, line)
+        if i < 0:
+            continue
+        a, b = lines[max(i - 1, 0) & 3], lines[i & 3]
+        c, d = lines[min(i + 1, last) & 3], lines[min(i + 2, last) & 3]
+        for k in range(width):
+            out[2 * i, k] = _rounded(b[k])
+        for k in range(width if i < last else 0):
+            out[2 * i + 1, k] = _rounded(INNER * (b[k] + c[k]) - OUTER * (a[k] + d[k]))
+    return out
+
+
+@compiled
+def _half_beams(filled: Plane, code: Codes, beams: IntArray, line: Plane) -> None:
+    for k in range(beams.size):
+        line[k] = code[beams[k]]
+    for k in range(beams.size - 3):
+        filled[2 * k] = line[k + 1]
+        filled[2 * k + 1] = INNER * (line[k + 1] + line[k + 2]) - OUTER * (line[k] + line[k + 3])
+
+
+@compiled
+def _rounded(x: np.float32) -> np.uint8:
+    return np.uint8(min(max(x, np.float32(0.0)), np.float32(255.0)) + np.float32(0.5))
+
+
+@compiled
+def scratch() -> FloatArray:
+    """Room for the weights of one sum after another."""
+    return np.empty(2 * MOST_BEAMS + 1)
 
 
 @compiled
@@ -45,20 +86,22 @@ def evidence(
     sd_r: float,
     bearing: float,
     sd_b: float,
-    code: Codes,
+    half: Codes,
     decoded: Plane,
     grid: Grid,
-    room: Room,
+    weights: FloatArray,
 ) -> tuple[float, float, float, float, float]:
     """ln of the mean ratio under two Gaussians, and what it says of range and of bearing.
 
-    Log ratios are taken at half cells and half beams too, between those of the four cells and beams around;
-    where a Gaussian is wide, at whole ones only. Places count in halves from the first cell or beam. What is
-    said are the information of an equivalent measurement, and that times its offset: the differences that the
-    ratios make to 1 / variance and mean / variance of the Gaussians as they are summed, cut and sampled.
+    Ratios are taken at half cells and half beams, of the codes `half`; where a Gaussian is wide, at whole
+    ones only. Places count in halves from the first cell or beam. What is said are the information of an
+    equivalent measurement, and that times its offset: the differences that the ratios make to 1 / variance
+    and mean / variance of the Gaussians as they are summed, cut and sampled.
     """
     at_row = 2.0 * (range_m - grid.first_m) / grid.cell_m
     at_beam = 2.0 * (bearing - grid.first_rad) / grid.beam_rad
+    if grid.closed:
+        at_beam -= 2.0 * grid.n_beams * math.floor(0.5 * at_beam / grid.n_beams)
     sd_row, sd_beam = 2.0 * sd_r / grid.cell_m, 2.0 * sd_b / abs(grid.beam_rad)
     low, high, row_step = _within(at_row, sd_row, MOST_ROWS)
     left, right, beam_step = _within(at_beam, sd_beam, MOST_BEAMS)
@@ -66,22 +109,16 @@ def evidence(
         left, right = max(left, 0), min(right, 2 * grid.n_beams - 2)
     if low < 0 or high > 2 * grid.n_ranges - 2 or right < left:
         return -np.inf, 0.0, 0.0, 0.0, 0.0
-    codes, weights = room.codes, room.weights
-    top = _look(low, high, left, right, beam_step, code, grid, room)
-    sum_b, prior_b1, prior_b2 = _gaussian(room.weights, left - at_beam, right - at_beam, beam_step, sd_beam)
+    sum_b, prior_b1, prior_b2 = _gaussian(weights, left - at_beam, right - at_beam, beam_step, sd_beam)
     sum_r = prior_r1 = prior_r2 = total = r1 = r2 = b1 = b2 = 0.0
     w, fall, bend = _falling(low - at_row, row_step, sd_row)
     for i in range(low, high + 1, row_step):
-        k, y = (i >> 1) - top, i - at_row
+        y = i - at_row
         at_i = at_bi = at_bbi = 0.0
         for n in range((right - left) // beam_step + 1):
-            x = codes[k, n]
-            if i & 1:
-                x = INNER * (x + codes[k + 1, n]) - OUTER * (codes[k - 1, n] + codes[k + 2, n])
-            ratio = (
-                weights[n] * decoded[int(min(max(x, np.float32(0.0)), np.float32(255.0)) + np.float32(0.5))]
-            )
-            off = left + n * beam_step - at_beam
+            j = left + n * beam_step
+            ratio = weights[n] * decoded[half[i, EDGE + j]]
+            off = j - at_beam
             at_i += ratio
             at_bi += ratio * off
             at_bbi += ratio * off * off
@@ -139,42 +176,6 @@ def _falling(x: float, step: int, sd: float) -> tuple[float, float, float]:
         math.exp(-(x + 0.5 * step) * step * one),
         math.exp(-step * step * one),
     )
-
-
-@compiled
-def _look(
-    low: int,
-    high: int,
-    left: int,
-    right: int,
-    step: int,
-    code: Codes,
-    grid: Grid,
-    room: Room,
-) -> int:
-    """Fill `room` with the codes at half beams `left` to `right`, from the row that is returned on."""
-    top, first = (low >> 1) - 1, (left >> 1) - 1
-    codes, beams = room.codes, room.beams
-    turn = first % grid.n_beams - first
-    for k in range((right >> 1) + 3 - first):
-        beam = first + k
-        if not grid.closed:
-            beams[k] = min(max(beam, 0), grid.n_beams - 1)
-            continue
-        while beam + turn >= grid.n_beams:
-            turn -= grid.n_beams
-        beams[k] = beam + turn
-    for i in range(top, (high >> 1) + 3):
-        line, filled = code[min(max(i, 0), grid.n_ranges - 1)], codes[i - top]
-        for n in range((right - left) // step + 1):
-            j = left + n * step
-            k = (j >> 1) - first
-            x = np.float32(line[beams[k]])
-            if j & 1:
-                outer = np.float32(line[beams[k - 1]]) + np.float32(line[beams[k + 2]])
-                x = INNER * (x + np.float32(line[beams[k + 1]])) - OUTER * outer
-            filled[n] = x
-    return top
 
 
 @compiled

@@ -34,6 +34,7 @@ OLD_STEPS, NEW_STEPS = (
     8,
     8,
 )  # entries of what is expected, per unit of the last ping's power and of this one's
+LEAST_TOTAL = 1e-300  # power that is not divided by
 ENOUGH = 200_000  # cells for a correlation
 ALL_VALID: BoolArray = np.zeros((0, 0), bool)
 NO_PLANE: Plane = np.zeros((0, 0), np.float32)
@@ -131,11 +132,13 @@ def candidates(power: Plane, least: float, closed: bool, most: int) -> tuple[Int
 
     Of more than `most` the highest are kept.
     """
-    row, beam = _local_maxima(frozen(power), np.float32(least), closed)
+    row, beam = np.divmod(np.flatnonzero(power >= np.float32(least)), power.shape[1])
+    peak = _local_maxima(frozen(power), row, beam, closed)
+    row, beam = row[peak], beam[peak]
     if row.size > most:
-        keep = np.argsort(-power[row, beam], kind="stable")[:most]
+        keep = np.sort(np.argsort(-power[row, beam], kind="stable")[:most])
         row, beam = row[keep], beam[keep]
-    order = np.lexsort((row, beam))
+    order = np.argsort(beam.astype(np.int16), kind="stable")  # of two bytes: by radix
     return row[order], beam[order]
 
 
@@ -151,75 +154,96 @@ def _ratio_map(
     unknown: np.uint8,
 ) -> tuple[Plane, Plane, Codes]:
     n_ranges, n_beams = amplitude.shape
+    squares, known = _squares(amplitude, valid)
     power, code = np.empty((n_ranges, n_beams), np.float32), np.empty((n_ranges, n_beams), np.uint8)
-    excess = np.empty((n_ranges, n_beams), np.float32)
+    excess = np.empty((n_ranges, n_beams), np.float32) if previous.size else power
     total, count = np.zeros(n_beams), np.zeros(n_beams)
-    squares = np.zeros((n_ranges, n_beams), np.float32)
-    known = np.ones((n_ranges, n_beams), np.bool_)
-    for r in range(n_ranges):
-        for b in range(n_beams):
-            x = np.float32(amplitude[r, b])
-            good = np.isfinite(x) and (valid.size == 0 or valid[r, b])
-            known[r, b] = good
-            squares[r, b] = x * x if good else np.float32(0.0)
     last = np.float32(table.size - 1)
-    last_old, last_new = np.float32(expected.shape[0] - 1), np.float32(expected.shape[1] - 1)
     for r in range(-reach - guard - 1, n_ranges):
-        _move(total, count, squares, known, r + guard + reach, 1.0)
-        _move(total, count, squares, known, r + guard, -1.0)
-        _move(total, count, squares, known, r - guard - 1, 1.0)
-        _move(total, count, squares, known, r - guard - 1 - reach, -1.0)
+        _move(total, count, squares, known, r, guard, reach)
         if r < 0:
             continue
         for b in range(n_beams):
-            z = np.float32(1.0)
-            if known[r, b] and count[b] >= 8.0 and total[b] > 0.0:
-                z = squares[r, b] * np.float32(count[b] / total[b])
-            power[r, b] = z
-            u = z
-            if previous.size and known[r, b]:
-                old = min(previous[r, b] * np.float32(OLD_STEPS), last_old)
-                new = min(z * np.float32(NEW_STEPS), last_new)
-                u = expected[int(old + np.float32(0.5)), int(new + np.float32(0.5))]
-            excess[r, b] = u
-            place = min(u * np.float32(STEPS), last)
-            code[r, b] = table[int(place)] if known[r, b] else unknown
+            z = squares[r, b] * np.float32(count[b] / max(total[b], LEAST_TOTAL))
+            power[r, b] = z if count[b] >= 8.0 and total[b] > 0.0 else np.float32(1.0)
+        if previous.size:
+            _exceed(excess, power, previous, expected, r)
+        for b in range(n_beams):
+            code[r, b] = table[int(min(excess[r, b] * np.float32(STEPS), last))]
+        for b in range(n_beams if known.size else 0):
+            if not known[r, b]:
+                power[r, b] = excess[r, b] = np.float32(1.0)
+                code[r, b] = unknown
     return power, excess, code
 
 
 @compiled
-def _move(
-    total: FloatArray, count: FloatArray, squares: Plane, known: BoolArray, row: int, sign: float
-) -> None:
-    """Add a row's powers to the running reference, or take them away."""
-    if 0 <= row < squares.shape[0]:
-        for b in range(total.size):
-            total[b] = max(total[b] + sign * squares[row, b], 0.0)
-            count[b] += sign * known[row, b]
+def _exceed(excess: Plane, power: Plane, previous: Plane, expected: Plane, row: int) -> None:
+    """Fill in a row of what powers are worth after those of the last ping."""
+    last_old, last_new = np.float32(expected.shape[0] - 1), np.float32(expected.shape[1] - 1)
+    for b in range(power.shape[1]):
+        old = min(previous[row, b] * np.float32(OLD_STEPS), last_old)
+        new = min(power[row, b] * np.float32(NEW_STEPS), last_new)
+        excess[row, b] = expected[int(old + np.float32(0.5)), int(new + np.float32(0.5))]
 
 
 @compiled
-def _local_maxima(power: Plane, least: np.float32, closed: bool) -> tuple[IntArray, IntArray]:
-    n_ranges, n_beams = power.shape
-    room, n = 4096, 0
-    rows, beams = np.empty(room, np.int64), np.empty(room, np.int64)
-    for r in range(1, n_ranges - 1):
+def _squares(amplitude: npt.NDArray[Any], valid: BoolArray) -> tuple[Plane, BoolArray]:
+    """Powers (n_ranges, n_beams), 0 where there are none, and where there are; empty if everywhere."""
+    n_ranges, n_beams = amplitude.shape
+    squares, all_known = np.empty((n_ranges, n_beams), np.float32), valid.size == 0
+    for r in range(n_ranges):
+        beyond = 0
         for b in range(n_beams):
-            z = power[r, b]
-            if z < least or z < power[r - 1, b] or z <= power[r + 1, b]:
-                continue
-            left, right = b - 1, b + 1
-            if closed:
-                left, right = left % n_beams, right % n_beams
-            if left >= 0 and z < power[r, left]:
-                continue
-            if right < n_beams and z <= power[r, right]:
-                continue
-            if n == room:
-                room *= 2
-                more_rows, more_beams = np.empty(room, np.int64), np.empty(room, np.int64)
-                more_rows[:n], more_beams[:n] = rows, beams
-                rows, beams = more_rows, more_beams
-            rows[n], beams[n] = r, b
-            n += 1
-    return rows[:n].copy(), beams[:n].copy()
+            x = np.float32(amplitude[r, b])
+            squares[r, b] = x * x
+            beyond += not squares[r, b] < np.inf
+        all_known &= beyond == 0
+    if all_known:
+        return squares, np.zeros((0, 0), np.bool_)
+    known = np.ones((n_ranges, n_beams), np.bool_)
+    for r in range(n_ranges):
+        for b in range(n_beams):
+            good = squares[r, b] < np.inf and (valid.size == 0 or valid[r, b])
+            known[r, b] = good
+            squares[r, b] = squares[r, b] if good else np.float32(0.0)
+    return squares, known
+
+
+@compiled
+def _move(
+    total: FloatArray, count: FloatArray, squares: Plane, known: BoolArray, row: int, guard: int, reach: int
+) -> None:
+    """Move the running reference on to a row: of two stretches, a row enters each, and one leaves."""
+    for at, sign in (
+        (row + guard + reach, 1.0),
+        (row + guard, -1.0),
+        (row - guard - 1, 1.0),
+        (row - guard - 1 - reach, -1.0),
+    ):
+        if not 0 <= at < squares.shape[0]:
+            continue
+        for b in range(total.size):
+            total[b] = max(total[b] + sign * squares[at, b], 0.0)
+        if known.size:
+            for b in range(total.size):
+                count[b] += sign * known[at, b]
+        else:
+            count += sign
+
+
+@compiled
+def _local_maxima(power: Plane, row: IntArray, beam: IntArray, closed: bool) -> BoolArray:
+    """Which of the cells given are local maxima."""
+    n_ranges, n_beams = power.shape
+    found = np.zeros(row.size, np.bool_)
+    for i in range(row.size):
+        r, b = row[i], beam[i]
+        z = power[r, b]
+        if not 0 < r < n_ranges - 1 or z < power[r - 1, b] or z <= power[r + 1, b]:
+            continue
+        left, right = b - 1, b + 1
+        if closed:
+            left, right = left % n_beams, right % n_beams
+        found[i] = not (left >= 0 and z < power[r, left]) and not (right < n_beams and z <= power[r, right])
+    return found

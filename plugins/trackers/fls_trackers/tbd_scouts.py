@@ -1,7 +1,7 @@
 """Scouts: what might be a target, from pairs of peaks on, followed through the ratios of other pings.
 
-A scout is a Gaussian over range and range rate, another over bearing, and the log likelihood ratio of that
-path against clutter. All are rows of one array, whose columns are named below.
+A scout is a Gaussian over range and range rate, another over bearing, the log likelihood ratio of that path
+against clutter, and the noise of its motion. All are rows of one array, whose columns are named below.
 """
 
 from __future__ import annotations
@@ -12,19 +12,20 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_flow.kernels import compiled
-from fls_trackers.tbd_evidence import LEAST, evidence, room
+from fls_trackers.tbd_evidence import LEAST, evidence, scratch
 from fls_trackers.tbd_grid import Grid, Motion
 from fls_trackers.tbd_ratio import Codes, Plane
 
-__all__ = ["COLUMNS", "best_of_cells", "followed", "predicted"]
+__all__ = ["COLUMNS", "best_of_cells", "by_range", "followed", "predicted", "with_agile"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 RANGE, RATE, P_RR, P_RV, P_VV = range(5)
 BEARING, TURN, P_BB, P_BT, P_TT = range(5, 10)
-SCORE, AGE = 10, 11
-COLUMNS = 12
+SCORE, AGE, SIGMA = 10, 11, 12  # SIGMA: acceleration that its motion is allowed, m/s^2
+COLUMNS = 13
+ORDER_M = 0.25  # of range, in which the order of scouts does not matter
 
 
 @compiled
@@ -35,9 +36,9 @@ def predicted(scouts: FloatArray, motion: Motion) -> FloatArray:
     straight, with the noise of white acceleration.
     """
     new = scouts.copy()
-    dt, q = motion.dt_s, motion.sigma_v_mps2**2
+    dt = motion.dt_s
     for s in new:
-        r, turn = s[RANGE], s[TURN]
+        r, turn, q = s[RANGE], s[TURN], s[SIGMA] ** 2
         # Along and across the old line of sight: the velocity is (rate, r turn).
         c, n = math.cos(s[BEARING]), math.sin(s[BEARING])
         along = r + dt * s[RATE] - (motion.own_x_m * c + motion.own_y_m * n)
@@ -60,7 +61,7 @@ def _spread(p: FloatArray, dt: float, q: float) -> None:
 
 
 @compiled
-def followed(scouts: FloatArray, code: Codes, decoded: Plane, grid: Grid, since: Motion) -> FloatArray:
+def followed(scouts: FloatArray, half: Codes, decoded: Plane, grid: Grid, since: Motion) -> FloatArray:
     """The scouts after a ping `since.dt_s` before their time, 0 for that of now: scored, and moved by it.
 
     With weights w_ij of the cells under the Gaussians over range and bearing there, the score grows by
@@ -70,16 +71,17 @@ def followed(scouts: FloatArray, code: Codes, decoded: Plane, grid: Grid, since:
     Source: Bayes' rule on a grid, collapsed to Gaussians after each ping.
     """
     new = scouts.copy()
-    dt, q = since.dt_s, since.sigma_v_mps2**2
+    dt = since.dt_s
     least_r, least_b = (LEAST * 0.5 * grid.cell_m) ** 2, (LEAST * 0.5 * grid.beam_rad) ** 2
-    space = room()
+    weights = scratch()
     for s in new:
+        q = s[SIGMA] ** 2
         distance, bearing = _place(s, since)
         p_r = _variance(s[RANGE : P_VV + 1], dt, q)
         p_b = _variance(s[BEARING : P_TT + 1], dt, q / max(distance, 1.0) ** 2)
         wide_r, wide_b = max(p_r, least_r), max(p_b, least_b)
         gain, j_r, z_r, j_b, z_b = evidence(
-            distance, math.sqrt(wide_r), bearing, math.sqrt(wide_b), code, decoded, grid, space
+            distance, math.sqrt(wide_r), bearing, math.sqrt(wide_b), half, decoded, grid, weights
         )
         s[SCORE] += gain
         if gain == -np.inf:
@@ -128,9 +130,25 @@ def _moved(s: FloatArray, dt: float, before: float, information: float, offset: 
     s[4] -= rate_gain * rate_gain * (before - after)
 
 
+def with_agile(scouts: FloatArray, agile_mps2: float, least: float, odds: float) -> FloatArray:
+    """The scouts (n, COLUMNS), then copies of those from `least` on that may manoeuvre from now on.
+
+    What speaks against that beforehand, ln of `odds`, is taken from their score.
+    """
+    turning = scouts[(scouts[:, SCORE] >= least) & (scouts[:, SIGMA] < agile_mps2)]
+    turning[:, SIGMA], turning[:, SCORE] = agile_mps2, turning[:, SCORE] - math.log(odds)
+    return np.concatenate([scouts, turning])
+
+
+def by_range(scouts: FloatArray) -> FloatArray:
+    """The scouts roughly in order of range: neighbours read the same rows of a ping, at hand by then."""
+    step = np.clip(scouts[:, RANGE] / ORDER_M, 0.0, 32_767.0).astype(np.int16)  # of two bytes: by radix
+    return scouts[np.argsort(step, kind="stable")]
+
+
 @compiled
 def best_of_cells(scouts: FloatArray, grid: Grid, rate_mps: float, least: float, most: int) -> FloatArray:
-    """The best scout of each cell of range, bearing and range rate, those above `least`, at most `most`.
+    """The best scout of each cell of range, bearing, rate and noise, those above `least`, at most `most`.
 
     Cells are a resolution cell long, half a beamwidth wide and `rate_mps` deep. Order stays that of the rows.
     """
@@ -141,6 +159,7 @@ def best_of_cells(scouts: FloatArray, grid: Grid, rate_mps: float, least: float,
     table = np.full(mask, -1)
     keys = np.empty(n, np.int64)
     keep = np.zeros(n, np.bool_)
+    usual = scouts[:, SIGMA].min() if n else 0.0
     width = 0.5 * grid.beamwidth_rad
     around = max(int(2.0 * math.pi / width), 1)
     for i in range(n):
@@ -150,7 +169,7 @@ def best_of_cells(scouts: FloatArray, grid: Grid, rate_mps: float, least: float,
         r = math.floor(s[RANGE] / grid.resolution_m)
         b = math.floor(s[BEARING] / width) % around
         v = math.floor(s[RATE] / rate_mps + 0.5) + 512
-        keys[i] = (r * 1024 + v) * 4096 + b
+        keys[i] = ((r * 1024 + v) * 4096 + b) * 2 + (s[SIGMA] > usual)
         slot = (keys[i] * 0x9E3779B97F4A7C1 >> 20) & (mask - 1)
         while table[slot] >= 0 and keys[table[slot]] != keys[i]:
             slot = (slot + 1) & (mask - 1)

@@ -8,7 +8,17 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fls_trackers.tbd_ratio import LARGEST, NEW_STEPS, NO_PLANE, OLD_STEPS, STEADY, STEPS, Plane, ratio_table
+from fls_trackers.tbd_ratio import (
+    LARGEST,
+    NEW_STEPS,
+    NO_PLANE,
+    OLD_STEPS,
+    STEADY,
+    STEPS,
+    Plane,
+    encoded,
+    ratio_table,
+)
 
 __all__ = ["Tables", "excess_table", "tables_of"]
 
@@ -16,8 +26,6 @@ FloatArray = npt.NDArray[np.float64]
 
 LARGEST_OLD = 12  # power of the last ping at which the table ends
 PHASES = (np.arange(8) + 0.5) * math.pi / 8.0  # between target and clutter: not known
-
-
 STRONGEST_DB = 15  # up to which the ratios of a track follow its own echoes
 LOBE_GAIN = 20.0  # bound of a track's log ratios: at max_gain, the lobes of a strong echo would be alike
 
@@ -28,7 +36,8 @@ class Tables(NamedTuple):
     references: float
     correlation: float
     weakest: Plane  # for a target of `snr_db`
-    levels: Plane  # a row per decibel of target, from 1 on
+    levels: Plane  # a row per decibel of target, from 1 on; all alike in clutter that persists
+    decoded: Plane  # (n_levels, 256) the same by the codes of a ping, bounded as they are
     expected: Plane  # what a ping is worth after the last one; empty without correlation
 
 
@@ -37,9 +46,23 @@ def tables_of(snr_db: float, references: float, max_gain: float, correlation: fl
     snr = 10.0 ** (snr_db / 10.0)
     weakest = ratio_table(snr, references, max_gain)
     levels = 10.0 ** (np.arange(1, STRONGEST_DB + 1) / 10.0)
+    levels[0] = min(levels[0], snr)
+    if correlation > 0.0:  # what is expected is made up for that strength: others would be too sure of lobes
+        levels[:] = snr
     rows = np.stack([ratio_table(float(one), references, LOBE_GAIN) for one in levels])
     expected = excess_table(weakest, snr, references, correlation) if correlation > 0.0 else NO_PLANE
-    return Tables(references, correlation, weakest, rows, expected)
+    return Tables(references, correlation, weakest, rows, _decoded(weakest, rows, max_gain), expected)
+
+
+def _decoded(weakest: Plane, rows: Plane, max_gain: float) -> Plane:
+    """Ratios (n_levels, 256) of all levels by a power's code in `weakest`, at most exp(max_gain)."""
+    code, _ = encoded(weakest)
+    codes, first = np.unique(code, return_index=True)
+    last = np.append(first[1:], first[-1] + 1) - 1
+    place = np.interp(np.arange(256), codes, 0.5 * (first + last))
+    logs = [np.interp(place, np.arange(row.size), np.log(row.astype(float))) for row in rows]
+    decoded: Plane = np.exp(np.minimum(logs, max_gain)).astype(np.float32)
+    return decoded
 
 
 def excess_table(table: Plane, snr: float, references: float, correlation: float) -> Plane:
