@@ -59,8 +59,8 @@ class Records:
         """Add a cell's row: whole, and on disk."""
         line = json.dumps(dataclasses.asdict(row), separators=(",", ":")) + "\n"
         os.write(self._file, line.encode())
+        self.rows[row.index] = row  # at once: a signal while the disk is slow finds it done
         os.fsync(self._file)
-        self.rows[row.index] = row
 
     def write(self, name: str, text: str) -> None:
         """Write a file of the folder: whole, or not at all."""
