@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from fls_flow.deploy import LIVE_WINDOW, REPLAY_WINDOW
-from fls_flow.errors import FlsFlowError
+from fls_flow.errors import FlsFlowError, InputError
 from fls_flow.graph import Graph
 from fls_flow.links import Link
 from fls_flow.observe import NodeCounts
@@ -113,9 +113,14 @@ def finished_pings(graph: Graph, counts: Mapping[str, NodeCounts]) -> int:
 
 
 def pings_of(clock: Any) -> int | None:
-    """How many pings a source says will come; None when it does not know."""
+    """How many pings a source says will come; None when it does not know.
+
+    Raises InputError when it finds that what it should read cannot be read.
+    """
     try:
         return len(clock) if hasattr(clock, "__len__") else None
+    except InputError:
+        raise
     except Exception as error:  # only the progress bar needs it
         log.warning("%s.__len__ raised %s: %s", type(clock).__name__, type(error).__name__, error)
         return None

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -216,3 +218,23 @@ def test_positions_that_cannot_be_kept_cost_only_themselves(tmp_path: Path) -> N
     places = kept(tmp_path / "missing" / "front.at", ["a"])
     places["a"][0] = 3
     assert look(tmp_path / "missing" / "front.at", ["a"]) == {}
+
+
+@pytest.mark.parametrize("mode", ["--in-process", "--no-progress"])  # the other one: as processes
+def test_a_recording_that_cannot_be_read_is_one_line_and_no_files_but_the_runs_own(
+    tmp_path: Path, mode: str
+) -> None:
+    (tmp_path / "junk.npz").write_bytes(bytes(range(256)) * 20)
+    words = ["run", "surface_on_recording", "--set", "sonar.path=junk.npz", "--out", "o", mode]
+    run = subprocess.run(
+        [sys.executable, "-m", "fls_flow.cli", *words],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert run.returncode == 1
+    said = [line for line in run.stderr.splitlines() if not line.startswith("writing to")]
+    assert len(said) == 1, run.stderr
+    assert "junk.npz: is not an npz file" in said[0]
+    assert [path.name for path in (tmp_path / "o").iterdir()] == ["run.json"]
