@@ -21,7 +21,7 @@ from fls_flow.deploy import Deployment, Tls, Zenoh
 from fls_flow.errors import InputError
 
 SESSION = """
-import json, sys, threading, time
+import json, os, sys, threading, time
 import zenoh
 
 job = json.loads(sys.stdin.readline())
@@ -47,6 +47,7 @@ with zenoh.open(config) as session:
                 print("counters", reply.ok.payload.to_string(), flush=True)
             for reply in session.liveliness().get(job["ask"] + "/@alive/*", timeout=1.0):
                 print("alive", reply.ok.key_expr, flush=True)
+    os._exit(0)  # closing may wait 10 s for a link that was refused
 """
 KEY = "fls/g/run1/tracker/tracks"
 
