@@ -12,7 +12,8 @@ from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_ty
 import numpy as np
 from xxhash import xxh3_64_intdigest
 
-from fls_flow._codecs import DTYPES, Array, Choice, Codec, Many, Optional, Scalar, Tuple
+from fls_flow._array_codec import DTYPES, Array
+from fls_flow._codecs import Choice, Codec, Many, Optional, Scalar, Tuple
 from fls_flow._records import Laid, Record, Schema
 from fls_flow.errors import WireError
 from fls_flow.messages import is_message_type

@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 from xxhash import xxh3_64, xxh3_64_intdigest
 
-from fls_flow._codecs import aligned, short
+from fls_flow._array_codec import aligned
+from fls_flow._codecs import short
 from fls_flow._records import Schema
 from fls_flow._schemas import carrier
 from fls_flow.errors import WireError
