@@ -191,7 +191,7 @@ def test_detection_probability_of_a_fluctuating_target(snr):
     assert within_binomial_bounds(np.count_nonzero(hits[targets]), np.count_nonzero(targets), expected)
 
 
-@pytest.mark.parametrize("scale", [2.0**-60, 1e-12, 1e-3, 1e6, 2.0**50])
+@pytest.mark.parametrize("scale", [2.0**-60, 1e-12, 1e-3, 1e6, 2.0**50, 2.0**66, 2.0**120])
 def test_scale_does_not_matter(scale):
     amplitude = np.random.default_rng(15).rayleigh(1.0, (300, 20)).astype(np.float32)
     window = WINDOWS[3][0]

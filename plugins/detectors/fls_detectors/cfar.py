@@ -257,7 +257,7 @@ def _exceeds(
     guard, stride, levels, beams, widest = window
     per_side = 1 << levels
     size = 2 * per_side * (2 * beams + 1)
-    x = float(amplitude[row, beam])
+    x = np.float64(amplitude[row, beam])
     if not (x > 0.0):
         return False
     total, count = 0.0, 0
@@ -270,7 +270,7 @@ def _exceeds(
                 continue
             for n in range(max(beam - beams, 0), min(beam + beams + 1, n_beams)):
                 if flags.size == 0 or flags[r, n] & REFERENCE:
-                    total += float(amplitude[r, n]) ** 2
+                    total += np.float64(amplitude[r, n]) ** 2
                     count += 1
         if x * x <= factors[-1] * total:  # more cells only raise this bound of the threshold
             return False

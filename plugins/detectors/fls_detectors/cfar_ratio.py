@@ -52,4 +52,4 @@ def _ratios(
             count = gathered_cells(amplitude, flags, row, beam, window, min_ref, cells)
             total = max(np.sum(np.square(cells[:count])), count * floor_power)
             if count >= min_ref and total > 0.0:
-                ratio[row, beam] = float(amplitude[row, beam]) / np.sqrt(factors[count] * total)
+                ratio[row, beam] = np.float64(amplitude[row, beam]) / np.sqrt(factors[count] * total)
