@@ -1,6 +1,6 @@
 """Time per ping from hydrophone samples to the polar image, beside a straight NumPy delay and sum.
 
-    python benchmarks/beamforming.py [--rounds 7]
+    python -m benchmarks.beamforming [--rounds 7]
 
 One ping of the floater: 4 x 63,158 samples at 96 kHz, 500 m, 360 beams of 1 degree, range cells of 3.8 cm.
 The straight ones take the same compressed samples and give the same cells: "by spectra" turns every beam's

@@ -1,6 +1,6 @@
 """Wished against measured false-alarm rates of four detectors on real recordings, before and after.
 
-    python benchmarks/calibration.py [RECORDING ...] [--out rates.png] [--pfa 1e-4]
+    python -m benchmarks.calibration [RECORDING ...] [--out rates.png] [--pfa 1e-4]
 
 By default on the recordings among the tests. A recording is an npz file for `polar-npz`, an Oculus stream
 (.raw), or an npz file that holds nothing but images, whose geometry is then made up: 10 m, 120 degrees. In

@@ -1,6 +1,6 @@
 """Time per frame of the Rayleigh CFAR beside scipy, OpenCV, a straight loop, and one pass over the memory.
 
-    python benchmarks/cfar.py [--rounds 40]
+    python -m benchmarks.cfar [--rounds 40]
 
 All decide every cell of the same Rayleigh image, on one thread. The others sum 5 beams x 13 ranges less a
 guard of 3 x 5 around the cell (J = 50), exact at the edges: with zeros outside and the factor a(J) of the
@@ -19,8 +19,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import statistics
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -31,6 +29,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.ndimage import uniform_filter
 
+from benchmarks._timing import cell, timed
 from fls_detectors.cfar import NO_FLAGS, REFERENCE, TEST, Window, rayleigh_factors, rayleigh_hits
 from fls_detectors.log_statistic import log_hits
 from fls_detectors.ordered_statistic import ordered_hits
@@ -48,7 +47,6 @@ OURS = Window(guard=2, stride=1, levels=3, beams=1, widest=0)
 NODE = Window.of(0.05, guard_m=1.0, guard_beams=1, reference_m=2.0, max_ref=48, widen_m=20.0)
 FACTORS = rayleigh_factors(PFA, MIN_REF, J + 1).astype(np.float32)
 COLD_BYTES = 1 << 27  # more than the caches hold
-MIN_TIMED_S = 2e-3  # of one method in one round
 
 
 def opencv_sum(image: Image) -> Image:
@@ -143,29 +141,6 @@ def alike(found: dict[str, Method], cells: int) -> None:
         count = int(np.count_nonzero(found[name]()))
         if abs(count - expected) > 6.0 * np.sqrt(expected) + 3:
             raise SystemExit(f"{name} gives {count} false alarms, {expected:.0f} are expected")
-
-
-def timed(found: dict[str, Method], rounds: int) -> dict[str, list[float]]:
-    """CPU ms per frame of each method, a value per round."""
-    repeats = {}
-    for name, method in found.items():
-        began = time.thread_time()
-        method()
-        repeats[name] = max(1, round(MIN_TIMED_S / max(time.thread_time() - began, 1e-6)))
-    times: dict[str, list[float]] = {name: [] for name in found}
-    for _ in range(rounds):
-        for name, method in found.items():
-            began = time.thread_time()
-            for _ in range(repeats[name]):
-                method()
-            times[name].append((time.thread_time() - began) / repeats[name] * 1e3)
-    return times
-
-
-def cell(times: dict[str, list[float]], name: str) -> str:
-    """One entry of the table."""
-    ratio = statistics.median(other / ours for other, ours in zip(times[name], times["ours"], strict=True))
-    return f"{statistics.median(times[name]):.3f} ({ratio:.2f})"
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Time per ping of each node of the surface-obstacle chain, in one process, pings preloaded in memory.
 
-    python benchmarks/chain.py [--pings 60]
+    python -m benchmarks.chain [--pings 60]
 
 The base line for later work: medians over the pings after a warm-up, one thread per library, nodes one after
 the other. Beside each time stands its ratio to one copy of the ping's amplitudes (`memcpy`), measured in the

@@ -1,6 +1,6 @@
 """Time per chip of the ten features and of the segmentation, beside scikit-image, OpenCV and scipy.
 
-    python benchmarks/features.py [--rounds 30] [--chips 32]
+    python -m benchmarks.features [--rounds 30] [--chips 32]
 
 Needs scikit-image and scikit-learn (extra `bench`). Every method describes the same chips of 64 range cells
 x 21 beams with one object each, on one thread. `regionprops` gives area, perimeter, axes, eccentricity, mean
@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import argparse
 import statistics
-import time
 import warnings
 from collections.abc import Callable
 
@@ -34,6 +33,7 @@ from skimage.measure import label as label_regions
 from skimage.measure import regionprops
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
+from benchmarks._timing import ratio, timed
 from fls_features.growing import central, grown, seeds, smoothed, thresholds
 from fls_features.shape import CELL_NAMES, in_cells
 from fls_flow.discriminants import fit, linear, posterior
@@ -48,7 +48,7 @@ SHAPE = (64, 21)
 ODD = (21, 3)
 SAME = [CELL_NAMES.index(name) for name in ("area", "mean", "variance", "phi1", "phi2")]
 AXES = [CELL_NAMES.index(name) for name in ("major_axis", "minor_axis")]
-MIN_TIMED_S = 5e-3  # of one method in one round
+LEAST_S = 5e-3  # of one method in one round
 SQUARE = np.ones((3, 3), np.uint8)
 CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 
@@ -181,23 +181,6 @@ def alike(features: dict[str, Method], regions: dict[str, Method], filters: dict
         raise SystemExit("the filter differs from scipy's")
 
 
-def timed(found: dict[str, Method], rounds: int) -> dict[str, list[float]]:
-    """CPU s of each method, a value per round."""
-    repeats = {}
-    for name, method in found.items():
-        began = time.thread_time()
-        method()
-        repeats[name] = max(1, round(MIN_TIMED_S / max(time.thread_time() - began, 1e-7)))
-    times: dict[str, list[float]] = {name: [] for name in found}
-    for _ in range(rounds):
-        for name, method in found.items():
-            began = time.thread_time()
-            for _ in range(repeats[name]):
-                method()
-            times[name].append((time.thread_time() - began) / repeats[name])
-    return times
-
-
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -226,11 +209,10 @@ def main() -> None:
         table.add_column(name, justify=side)  # type: ignore[arg-type]  # one of rich's words
     for part, methods in parts.items():
         table.add_section()
-        times = timed(methods, options.rounds)
+        times = timed(methods, options.rounds, least_s=LEAST_S)
         for name, values in times.items():
-            ratio = statistics.median(a / b for a, b in zip(values, times["ours"], strict=True))
             per_chip = 1e6 * statistics.median(values) / options.chips
-            table.add_row(f"{part}: {name}", f"{per_chip:.2f}", f"{ratio:.1f}")
+            table.add_row(f"{part}: {name}", f"{per_chip:.2f}", f"{ratio(times, name):.1f}")
     Console().print(table)
 
 

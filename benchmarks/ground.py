@@ -1,6 +1,6 @@
 """Time per ping of each node of the ground-obstacle chain, in one process.
 
-    python benchmarks/ground.py [--pings 60]
+    python -m benchmarks.ground [--pings 60]
 
 Medians over the pings after a warm-up, one thread per library, nodes one after the other; the simulator's
 time is in the table, too. The tracker alone is then run on made-up detections of many objects.

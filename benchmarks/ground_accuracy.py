@@ -1,6 +1,6 @@
 """How well `nav-ukf` places two targets from a manoeuvring vehicle, against the raw measurements.
 
-    python benchmarks/ground_accuracy.py [--runs 100]
+    python -m benchmarks.ground_accuracy [--runs 100]
 
 Per measurement noise and variant: tracks lost, rms position error from ping 20 on (sensor frame), its ratio
 to that of the measurements, and the mean NEES (2 is consistent). Navigation has the errors of `ground-nav`.

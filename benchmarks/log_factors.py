@@ -1,6 +1,6 @@
 """The coefficients of `fls_detectors.log_factors` and how well they fit, from a conditional Monte Carlo.
 
-    python benchmarks/log_factors.py [--samples 30000]
+    python -m benchmarks.log_factors [--samples 30000]
 
 For ln of exponentials, y_j, and another one y with distribution function 1 - exp(-e^y), the probability of
 y > m + t s depends on t and J alone. Given the configuration u_j = (y_j - m) / s it is a ratio of integrals

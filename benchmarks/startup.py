@@ -1,6 +1,6 @@
 """From the command to the first track, and from Ctrl-C to the end, of the demo as processes.
 
-    python benchmarks/startup.py [--rounds 5]
+    python -m benchmarks.startup [--rounds 5]
 
 Each round starts `fls-flow run surface_obstacle` anew; the first, which may compile, is not counted. Beside
 it stands the bare start of Python with numpy, measured in the same rounds: compare ratios between machines.

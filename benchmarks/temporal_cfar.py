@@ -20,8 +20,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import statistics
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -30,6 +28,7 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks._timing import cell, timed
 from fls_detectors.temporal_background import Rates, learn, rayleigh_threshold
 from fls_detectors.temporal_cfar import TemporalCfar
 from fls_flow import Ping
@@ -46,7 +45,6 @@ RATES = Rates(RATE, RATE, EVENT_RATE, 0.0, rayleigh_threshold(PFA), 0.0)
 OBJECTS, OBJECT_CELLS = 40, 8  # of so many cells square
 LEARNT_PINGS = 30
 COLD_BYTES = 1 << 27  # more than the caches hold
-MIN_TIMED_S = 2e-3  # of one method in one round
 
 
 def by_numpy(image: Image, mean: Image, variance: Image, rates: Rates) -> tuple[Found, Image]:
@@ -165,32 +163,6 @@ def methods(shape: tuple[int, int], rng: np.random.Generator) -> dict[str, Metho
         "NumPy, in place": recursive(in_place(shape)),
         "memory limit": lambda: pass_over(next(flat), *touched),
     }
-
-
-def timed(found: dict[str, Method], rounds: int) -> dict[str, list[float]]:
-    """CPU ms per ping of each method, a value per round."""
-    repeats = {}
-    for name, method in found.items():
-        method()
-        began = time.thread_time()
-        method()
-        repeats[name] = max(1, round(MIN_TIMED_S / max(time.thread_time() - began, 1e-6)))
-    times: dict[str, list[float]] = {name: [] for name in found}
-    for _ in range(rounds):
-        for name, method in found.items():
-            began = time.thread_time()
-            for _ in range(repeats[name]):
-                method()
-            times[name].append((time.thread_time() - began) / repeats[name] * 1e3)
-    return times
-
-
-def cell(times: dict[str, list[float]], name: str) -> str:
-    """One entry of the table."""
-    ratio = statistics.median(
-        other / kernel for other, kernel in zip(times[name], times["ours"], strict=True)
-    )
-    return f"{statistics.median(times[name]):.3f} ({ratio:.2f})"
 
 
 def main() -> None:

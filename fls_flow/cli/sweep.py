@@ -34,8 +34,8 @@ __all__ = ["sweep"]
     "set_",
     multiple=True,
     metavar="NODE.PARAM=VALUES",
-    help="Values a,b,c or a range start:stop[:step]; of paths, a pattern. A comma in quotes or brackets is "
-    "part of a value. Repeatable.",
+    help="Values a,b,c or a range start:stop[:step]; of paths, a folder or a pattern. A comma in quotes or "
+    "brackets is part of a value. Repeatable.",
 )
 @click.option(
     "--metric", multiple=True, help="Score to show: gospa, ospa, ..., pings, detections. Repeatable."

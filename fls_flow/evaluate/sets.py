@@ -106,15 +106,16 @@ def _windows(
             either[alive[(alive >= early) & (alive < end)] - early] = True
         saved, lived = (_sums(values, window_pings)[begin - early :] for values in (saved, either))
         near = saved > 1e-9 * cutoff_m  # running sums end near zero, not at it
-        found.append((np.arange(begin, end)[near], i, j, cutoff_m - saved[near] / lived[near]))
+        base = np.maximum(cutoff_m - saved[near] / lived[near], 0.0)  # rounded below 0 it has no p-th power
+        found.append((np.arange(begin, end)[near], i, j, base))
     if not found:
         return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
     size = [one[0].size for one in found]
     window = np.concatenate([one[0] for one in found])
     owners = [np.repeat([one[side] for one in found], size) for side in (1, 2)]
     sequence = np.argsort(window, kind="stable")
-    base = np.concatenate([one[3] for one in found])
-    return window[sequence], owners[0][sequence], owners[1][sequence], base[sequence]
+    bases = np.concatenate([one[3] for one in found])
+    return window[sequence], owners[0][sequence], owners[1][sequence], bases[sequence]
 
 
 def _lives(points: Points) -> list[IntArray]:

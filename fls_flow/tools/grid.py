@@ -89,8 +89,8 @@ class Grid:
 def axes_of(set_: Iterable[str], is_path: Callable[[str], bool] = lambda name: False) -> Grid:
     """The grid that `--set` options span; `is_path` tells the parameters whose values are files to read.
 
-    Paths become absolute, and `*` and `?` in them name all files that match. Raises UserError with every
-    mistake.
+    Paths become absolute; a folder names the files in it, `*` and `?` all that match. Raises UserError with
+    every mistake.
     """
     problems: list[Problem] = []
     axes: list[Axis] = []
@@ -164,17 +164,22 @@ def _counted(first: str, stop: str, step: str | None) -> list[str]:
 
 
 def _files(piece: str) -> list[str]:
-    """The files that a path or a pattern names, as absolute paths in quotes."""
+    """The files that a path, a folder or a pattern names, as absolute paths in quotes."""
     if piece in NOTHING or piece[0] in CLOSING:
         return [piece]
     # Only what is quoted is read as YAML: there a leading * is an alias.
     text = str(document.plain(document.parse(piece, "", [], lines=False))) if piece[0] in "'\"" else piece
-    if not any(letter in text for letter in "*?"):
-        return [json.dumps(str(Path(text).absolute()))]
-    found = sorted(str(Path(path).absolute()) for path in glob.glob(text, recursive=True))
+    if any(letter in text for letter in "*?"):
+        found, missing = glob.glob(text, recursive=True), f"no file matches {text}"
+    elif Path(text).is_dir():
+        inside = Path(text).iterdir()
+        found = [str(path) for path in inside if path.is_file() and not path.name.startswith(".")]
+        missing = f"the folder {text} holds no file"
+    else:
+        found, missing = [text], ""
     if not found:
-        raise ValueError(f"no file matches {text}")
-    return [json.dumps(path) for path in found]
+        raise ValueError(missing)
+    return [json.dumps(path) for path in sorted(str(Path(path).absolute()) for path in found)]
 
 
 def _distinct(values: tuple[str, ...]) -> bool:

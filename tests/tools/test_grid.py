@@ -118,6 +118,20 @@ def test_patterns_name_files_absolutely_and_sorted(tmp_path, monkeypatch):
     assert axis.labels == ("a.npz", "b: #2.npz")
 
 
+def test_a_folder_names_the_files_in_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("rec/b.npz", "rec/a.npz", "rec/.hidden", "rec/deeper/c.npz", "empty/deeper/d.npz"):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).touch()
+    for written in ("rec", "rec/", '"rec"', "./empty/../rec"):
+        assert axes_of([f"sonar.path={written}"], lambda name: True).axes[0].labels == ("a.npz", "b.npz")
+    both = axes_of(["sonar.path=rec,rec/deeper"], lambda name: True).axes[0]
+    assert both.labels == ("a.npz", "b.npz", "c.npz")
+    assert axes_of(["sonar.path=rec/d*"], lambda name: True).axes[0].labels == ("deeper",)  # as it is
+    with pytest.raises(GraphError, match="the folder empty holds no file"):
+        axes_of(["sonar.path=empty"], lambda name: True)
+
+
 def test_labels_are_whole_paths_where_names_are_not_enough(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for folder in ("x", "y"):
