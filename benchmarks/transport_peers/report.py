@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 from rich.table import Table
 
@@ -14,6 +15,16 @@ __all__ = ["Results", "fan_out_table", "goals_table", "size_table", "stall_table
 
 Results = Mapping[str, Sequence[Result | None]]
 BASE = "zenoh"
+
+
+class Goal(NamedTuple):
+    """A bound of our p50 or throughput over a peer's."""
+
+    against: str
+    size: str
+    what: str
+    bound: float
+    asked: bool = True  # else to reach for
 
 
 def median(values: Sequence[float]) -> float:
@@ -59,24 +70,23 @@ def size_table(size: str, number: int, results: Results) -> Table:
 
 
 def goals_table(sizes: Sequence[str], results: Results) -> Table:
-    """The goals for our own transport, each a ratio within a round."""
-    table = Table(title="goals")
+    """The goals for our own transport, each a ratio within a round, and what lies beyond them."""
+    table = Table(title="goals, lossless; in brackets: to reach for")
     for column in ("ours", "against", "size", "what", "goal", "seen", ""):
         table.add_column(column)
     for ours in (name for name in ("ring", "link", "link-32") if name in results):
-        for against, size, what, bound in _goals(sizes):
-            step = 2 * sizes.index(size)
-            if what == "p50":
-                seen = ratio(results, ours, against, lambda r, at=step: r.p50_us[at])  # type: ignore[misc]
-                met = seen <= bound
+        for goal in _goals(sizes):
+            step = 2 * sizes.index(goal.size)
+            if goal.what == "p50":
+                seen = ratio(results, ours, goal.against, lambda r, at=step: r.p50_us[at])  # type: ignore[misc]
+                met, sign = seen <= goal.bound, "<="
             else:
-                seen = ratio(results, ours, against, lambda r, at=step + 1: r.rate[at])  # type: ignore[misc]
-                met = seen >= bound
+                seen = ratio(results, ours, goal.against, lambda r, at=step + 1: r.rate[at])  # type: ignore[misc]
+                met, sign = seen >= goal.bound, ">="
             if not math.isnan(seen):
-                sign = "<=" if what == "p50" else ">="
-                table.add_row(
-                    ours, against, size, what, f"{sign} {bound}", f"{seen:.2f}", "met" if met else "MISSED"
-                )
+                bound = f"{sign} {goal.bound}" if goal.asked else f"({sign} {goal.bound})"
+                said = "met" if met else "MISSED" if goal.asked else "not reached"
+                table.add_row(ours, goal.against, goal.size, goal.what, bound, f"{seen:.2f}", said)
     return table
 
 
@@ -123,17 +133,17 @@ def stall_table(results: Mapping[tuple[str, float], tuple[Result, Result] | str]
     return table
 
 
-def _goals(sizes: Sequence[str]) -> list[tuple[str, str, str, float]]:
+def _goals(sizes: Sequence[str]) -> list[Goal]:
     large = [size for size in ("624 kB", "4 MiB") if size in sizes]
     return [
-        (BASE, "4 MiB", "p50", 0.5),
-        (BASE, "624 kB", "p50", 1.1),
-        (BASE, "624 kB", "p50", 0.8),
-        *(("dora-drop", size, "p50", 1.0) for size in sizes),
-        *(("shm+zenoh", size, "p50", 1.5) for size in sizes),
-        *(("ezmsg", size, "throughput", 0.9) for size in large),
-        *(("dora-drop", size, "throughput", 2.0) for size in large),
-        *(("dora-backpressure", size, "throughput", 2.0) for size in large),
+        Goal(BASE, "4 MiB", "p50", 0.5),
+        Goal(BASE, "624 kB", "p50", 1.1),
+        Goal(BASE, "624 kB", "p50", 0.8, asked=False),
+        *(Goal("dora-drop", size, "p50", 1.0) for size in sizes),
+        *(Goal("shm+zenoh", size, "p50", 1.5, asked=size == "4 MiB") for size in sizes),
+        *(Goal("ezmsg", size, "throughput", 0.9) for size in large),
+        *(Goal("dora-backpressure", size, "throughput", 2.0) for size in large),
+        *(Goal("dora-drop", size, "throughput", 2.0, asked=False) for size in large),  # which loses messages
     ]
 
 
