@@ -2,11 +2,13 @@
 
     python -m benchmarks.diver_tracks [--use tracker=nnkf] [--clutter k] [--alone] [--no-animals] [--slow]
 
-For each diver: the share of its pings after the warm-up in which a confirmed track is within 2.5 m (its own
-bubbles pull the track behind it), the longest run of pings on one track with gaps of at most ten pings, and
-how many tracks followed it. Beside it, confirmed tracks that follow nobody, per ping. Below, how many divers
-one track held for 1,000 pings, and the CPU time of the tracker for a ping. With `--alone`, each circuit is in
-a scene of its own, without animals; with `--slow`, divers hardly move: 0.05 to 0.1 m/s.
+For each diver: the longest run of pings in which it was in the sector, as nothing holds one that has left;
+the share of its pings after the warm-up in which a confirmed track is within 2.5 m (its own bubbles pull the
+track behind it), the longest run of pings on one track (in both runs with gaps of at most ten pings), and how
+many tracks followed it. Beside it, confirmed tracks that follow nobody, per ping. Below, how many divers one
+track held for 1,000 pings, how many were not in view that long, and the CPU time of the tracker for a ping.
+With `--alone`, each circuit is in a scene of its own, without animals; with `--slow`, divers hardly move:
+0.05 to 0.1 m/s.
 """
 
 from __future__ import annotations
@@ -15,8 +17,10 @@ import argparse
 import statistics
 import time
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from fls_flow import Tracks, TrackStatus, Truth
 from fls_flow import graph as graphs
@@ -53,13 +57,22 @@ def followed(tracks: list[Tracks], truths: list[Truth], target: int) -> list[int
 
 def longest(found: list[int]) -> int:
     """The longest stretch of pings held by one track, gaps of `MOST_GAP` pings allowed."""
-    best = 0
-    for one in set(found) - {-1}:
-        at = np.flatnonzero(np.array(found) == one)
-        cuts = np.flatnonzero(np.diff(at) > MOST_GAP + 1)
-        starts, ends = at[np.r_[0, cuts + 1]], at[np.r_[cuts, at.size - 1]]
-        best = max(best, int((ends - starts + 1).max()))
-    return best
+    return max((stretch(np.array(found) == one) for one in set(found) - {-1}), default=0)
+
+
+def in_view(truths: list[Truth], target: int) -> int:
+    """The longest stretch of pings after the warm-up with a target in the sector, with the same gaps."""
+    return stretch(np.array([bool((truth.target_id == target).any()) for truth in truths[WARM_UP:]]))
+
+
+def stretch(holds: npt.NDArray[np.bool_]) -> int:
+    """The longest run of true ones, over gaps of at most `MOST_GAP`."""
+    at = np.flatnonzero(holds)
+    if not at.size:
+        return 0
+    cuts = np.flatnonzero(np.diff(at) > MOST_GAP + 1)
+    starts, ends = at[np.r_[0, cuts + 1]], at[np.r_[cuts, at.size - 1]]
+    return int((ends - starts + 1).max())
 
 
 def strays(tracks: list[Tracks], truths: list[Truth]) -> float:
@@ -87,20 +100,38 @@ def played(given: Sequence[str], use: Sequence[str]) -> tuple[list[Tracks], list
     return tracks, truths, statistics.median(spent)
 
 
-def judged(seed: int, given: Sequence[str], use: Sequence[str]) -> tuple[list[int], float]:
+class Held(NamedTuple):
+    """How long one track held a diver, and how long it could have, in pings."""
+
+    pings: int
+    in_view: int
+
+
+def judged(seed: int, given: Sequence[str], use: Sequence[str]) -> tuple[list[Held], float]:
     """Print a row per diver of a scene; gives how long one track held each, and the ms per ping."""
     tracks, truths, spent_ms = played([f"sonar.seed={seed}", *given], use)
     away, held = strays(tracks, truths), []
     for target, name in zip(truths[0].target_id, truths[0].class_name, strict=True):
         if name.startswith("diver"):
             found = followed(tracks, truths, int(target))
-            held.append(longest(found))
+            held.append(Held(longest(found), in_view(truths, int(target))))
             print(
-                f"{seed:5d} {name[6:]:12} {len(found):6d} {np.mean(np.array(found) >= 0):6.3f} {held[-1]:8d} "
+                f"{seed:5d} {name[6:]:12} {len(found):6d} {held[-1].in_view:8d} "
+                f"{np.mean(np.array(found) >= 0):6.3f} {held[-1].pings:8d} "
                 f"{len(set(found) - {-1}):7d}   {away:.3f}",
                 flush=True,
             )
     return held, spent_ms
+
+
+def told(held: list[Held], ms: float) -> None:
+    """Print the lines below the table."""
+    many = sum(one.pings >= GOAL for one in held)
+    unseen = sum(one.in_view < GOAL for one in held)
+    middle = statistics.median(one.pings for one in held)
+    print(f"one track held {many} of {len(held)} divers for {GOAL} pings or more; median {middle:.0f}")
+    print(f"{unseen} of them were in view for fewer pings in a row than that")
+    print(f"tracker: {ms:.3f} ms per ping")
 
 
 def main() -> None:
@@ -124,17 +155,15 @@ def main() -> None:
     given += ["sonar.stay_s=100000", "sonar.name_circuits=true"]
     given += NO_ANIMALS if options.alone or options.no_animals else ()
     scenes = [[f"sonar.{other}=0" for other in CIRCUITS if other != one] for one in CIRCUITS]
-    print(f"{'seed':>5} {'diver':12} {'pings':>6} {'held':>6} {'longest':>8} {'tracks':>7}   strays/ping")
+    columns = f"{'pings':>6} {'in view':>8} {'held':>6} {'longest':>8} {'tracks':>7}   strays/ping"
+    print(f"{'seed':>5} {'diver':12} {columns}")
     held, spent_ms = [], []
     for seed in range(options.first, options.first + options.seeds):
         for scene in scenes if options.alone else [[]]:
             runs, ms = judged(seed, [*given, *scene, *options.set], options.use)
             held += runs
             spent_ms.append(ms)
-    many = sum(run >= GOAL for run in held)
-    middle = statistics.median(held)
-    print(f"one track held {many} of {len(held)} divers for {GOAL} pings or more; median {middle:.0f}")
-    print(f"tracker: {statistics.median(spent_ms):.3f} ms per ping")
+    told(held, statistics.median(spent_ms))
 
 
 if __name__ == "__main__":

@@ -48,7 +48,8 @@ OUR_SETTINGS: dict[str, dict[str, Any]] = {
         "gamma": 9.0,
         "speed_sd_mps": 0.3,
         "m1": 8,
-        "start_score": 8.0,
+        "start_score": 11.0,
+        "max_propagate": 10,
     }
 }
 CLUSTERS = (6, 8, 10, 12)  # tracks that all gate two detections more than they are

@@ -62,14 +62,14 @@ def test_a_track_that_is_alone_is_known_by_its_means() -> None:
     assert paths == [SAME] * 12
     expected = [[*SLOW, np.log(0.3), WEAK, 3.0], [*FAST, np.log(2.0), STRONG, 3.0]]
     np.testing.assert_allclose(table[:, :5], expected, rtol=1e-12)
-    assert not table[:, 5:].any()
+    assert not table[:, module.OTHER : module.BEGUN].any()
 
 
 def test_tracks_that_left_with_each_others_swimmer_exchange_after_some_pings() -> None:
     swapped = scan(1.5, velocity=(FAST, SLOW), level=(STRONG, WEAK))
     table, paths = played([*ALONE, *MEETING, *[swapped] * PINGS])
     assert paths[-PINGS:] == [SAME] * (PINGS - 1) + [EXCHANGED]
-    assert not table[:, module.OTHER :].any()
+    assert not table[:, module.OTHER : module.BEGUN].any()
     assert_array_equal(table[:, :2], [SLOW, FAST])  # what they were goes on with their numbers
 
 
@@ -131,7 +131,9 @@ def test_the_gain_by_hand() -> None:
         )
 
     expected = cost(0, 0) + cost(1, 1) - cost(0, 1) - cost(1, 0)
-    assert expected == pytest.approx(module._gain(0, 1, table, now, 0.4, 0.5), rel=1e-12)
+    assert expected == pytest.approx(
+        module._gain((0, 1, 1), module.EXCHANGES[0], table, now, 0.4, 0.5), rel=1e-12
+    )
 
 
 def test_the_order_of_tracks_does_not_matter() -> None:
@@ -143,6 +145,82 @@ def test_the_order_of_tracks_does_not_matter() -> None:
     mirrored, mirrored_paths = played(reversed_scans)
     assert paths == mirrored_paths
     assert_array_equal(table, mirrored[::-1])
+
+
+def with_third(
+    velocity: tuple[tuple[float, float], ...],
+    level: tuple[float, ...],
+    event: tuple[int, ...],
+    y_m: tuple[float, float, float] = (0.0, 1.5, 3.0),
+    status: int = CONFIRMED,
+) -> Scan:
+    """The two tracks and a third one; their places across."""
+    place = np.array([[20.0, y] for y in y_m])
+    return Scan(
+        np.array([7, 9, 11]),
+        np.array([CONFIRMED, CONFIRMED, status]),
+        np.concatenate([place, np.array(velocity)], axis=1),
+        np.tile(0.04 * np.eye(4), (3, 1, 1)),
+        np.stack([np.array(level), np.full(3, 50.0)], axis=1),
+        np.array(event),
+        np.array(level),
+    )
+
+
+def joined(begun: Scan, then: Scan, pings: int) -> list[list[int]]:
+    """The paths after the two met, when a third track begins as in `begun` and all go on as in `then`."""
+    table, paths = np.zeros((2, MEETING_COLUMNS)), []
+    for one in [*ALONE, *MEETING]:
+        table, _ = encounters(table, one, WALK, MEETING_M, AMPLITUDE_SD)
+    table = np.concatenate([table, np.zeros((1, MEETING_COLUMNS))])
+    for one in [begun, *[then] * pings]:
+        table, path = encounters(table, one, WALK, MEETING_M, AMPLITUDE_SD)
+        paths.append(path.tolist())
+    return paths
+
+
+def test_the_fast_one_leaves_with_a_new_track_and_the_slow_one_with_its() -> None:
+    """The slow one's track is left without echoes, the fast one's follows the slow one, a new one the fast."""
+    begun = with_third((SLOW, SLOW, FAST), (WEAK, WEAK, STRONG), (-1, 1, 2), status=TENTATIVE)
+    then = with_third((SLOW, SLOW, FAST), (WEAK, WEAK, STRONG), (-1, 1, 2), (0.0, 1.5, 5.0))
+    paths = joined(begun, then, 12)
+    at = paths.index([1, 2, 0])
+    assert all(path == [0, 1, 2] for path in paths[:at] + paths[at + 1 : at + PINGS])
+
+
+def test_a_new_track_that_began_elsewhere_takes_no_part() -> None:
+    far = with_third((SLOW, SLOW, FAST), (WEAK, WEAK, STRONG), (-1, 1, 2), (0.0, 1.5, 9.0), TENTATIVE)
+    then = with_third((SLOW, SLOW, FAST), (WEAK, WEAK, STRONG), (-1, 1, 2), (0.0, 1.5, 5.0))
+    assert all(path[2] == 2 for path in joined(far, then, 12))
+
+
+def test_a_track_left_on_what_its_swimmer_let_go_goes_on_with_the_new_one_that_has_it() -> None:
+    """The swimmer is stronger and slower than when it was alone: the misses must say more than that."""
+    came = [scan(9.0, status=(CONFIRMED, TENTATIVE))] * 12
+    on = scan(1.5, velocity=((0.3, 0.3), (0.15, 0.0)), level=(WEAK, WEAK + 1.2), event=(-1, 1))
+    _, paths = played([*came, *MEETING, *[on] * 15])
+    assert EXCHANGED in paths
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_ways_are_a_permutation_whatever_happens(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = 6
+    table, ids = np.zeros((n, MEETING_COLUMNS)), np.arange(1, n + 1)
+    place, exchanges = rng.uniform(0.0, 6.0, (n, 2)), 0
+    for _ in range(80):
+        place += 0.3 * rng.standard_normal((n, 2))
+        state = np.concatenate([place, rng.choice([0.2, 2.0], (n, 1)) * rng.standard_normal((n, 2))], axis=1)
+        status = np.where(rng.random(n) < 0.9, CONFIRMED, TENTATIVE)
+        event = np.where(rng.random(n) < 0.7, rng.integers(0, n, n), -1)
+        strength = np.stack([rng.choice([WEAK, STRONG], n), np.full(n, 9.0)], axis=1)
+        one = Scan(ids, status, state, np.tile(0.04 * np.eye(4), (n, 1, 1)), strength, event, strength[:, 0])
+        table, path = encounters(table, one, WALK, MEETING_M, AMPLITUDE_SD)
+        assert sorted(path) == list(range(n))
+        exchanges += int((path != np.arange(n)).sum())
+        born = rng.random(n) < 0.03
+        table[born], ids = 0.0, np.where(born, ids + 100, ids)
+    assert np.isfinite(table).all()
 
 
 # --- as nodes -----------------------------------------------------------------------------------------------

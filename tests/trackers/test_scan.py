@@ -11,13 +11,14 @@ from fls_flow.geometry import Pose
 from fls_trackers.association import ASSIGNED, INDEPENDENT, JOINT, LINEAR, associate, evidence
 from fls_trackers.clutter import cell_density
 from fls_trackers.conversion import convert, noise_at
+from fls_trackers.exchanges import exchanged
 from fls_trackers.existence import chances, given_existence, weighted
 from fls_trackers.gating import gate
 from fls_trackers.initiation import by_place
 from fls_trackers.kalman import predict, update
 from fls_trackers.life import LOST, Rules, judge
 from fls_trackers.linear import against_others
-from fls_trackers.scan import Fixed, Method, Scanned, Starts, scan
+from fls_trackers.scan import Method, Scanned, Starts, fixed_of, scan
 from fls_trackers.settings import Grain, settings_of
 from fls_trackers.track_bank import TrackBank, new_tracks
 
@@ -57,8 +58,8 @@ def rules_of(s: object) -> Rules:
 
 def whole(bank: TrackBank, ping: Detections, dt_s: float, sharing: int = JOINT, room: int = 100) -> Scanned:
     s = settings_of("recommended", {})
-    starts = Starts(room, 50, s.speed_sd_mps)
-    return scan(bank, ping, None, dt_s, GRAIN, POSE, Fixed.of(s, Method(sharing, 12)), CLUTTER, starts)
+    fixed = fixed_of(s, Method(sharing, 12))
+    return scan(bank, ping, None, dt_s, GRAIN, POSE, fixed, CLUTTER, Starts(room, 50))
 
 
 @pytest.mark.parametrize("sharing", [JOINT, INDEPENDENT, ASSIGNED, LINEAR])
@@ -87,10 +88,11 @@ def test_a_scan_is_its_steps(n: int, m: int, dt_s: float, sharing: int) -> None:
     found = associate(weighed, density, rank, p_d=s.p_d, p_g=s.gate_probability, sharing=way)
     if sharing == JOINT:
         given_existence(gated.start, gated.places, found.beta, found.beta_none, found.taken, chance, miss)
-    x, P = update(x, P, R, y, gated.start, gated.places, found.beta, found.beta_none)
-    score = found.beta_none
+    shares, rest, score = found.beta, found.beta_none, found.beta_none
     if sharing == ASSIGNED:
+        shares, rest = exchanged(*gated, density, s.p_d / miss, rank, found.beta, found.beta_none)
         score = evidence(*gated, density, s.p_d / miss, found.beta, found.beta_none)
+    x, P = update(x, P, R, y, gated.start, gated.places, shares, rest)
     unsure = np.repeat(rank, np.diff(gated.start)) > 0
     both = np.where(unsure | (sharing == INDEPENDENT), found.beta, 0.0)
     pairs = (gated.start, gated.places, both)
@@ -116,6 +118,7 @@ def test_a_scan_is_its_steps(n: int, m: int, dt_s: float, sharing: int) -> None:
     assert_array_equal(got.bank.covariance, expected.covariance)
     assert_array_equal(got.bank.ledger, expected.ledger)
     assert_array_equal(got.unclaimed, ~found.claimed)
+    assert got.free == np.count_nonzero(~found.claimed)
     assert (got.begun, got.finite, got.cut) == (len(new), True, False)
 
 

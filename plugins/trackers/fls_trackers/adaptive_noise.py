@@ -36,14 +36,12 @@ def predict_each(
 
     Source: Bar-Shalom & Li 1995, section 1.5.
     """
-    x, P = state.copy(), covariance.copy()
+    x, P = state.copy(), np.empty_like(covariance)
     for t in range(x.shape[0]):
         q = velocity_walk_mps * velocity_walk_mps * math.exp(noise[t, PROCESS])
-        F = np.eye(4)
-        F[0, 2] = F[1, 3] = dt_s
         for a in range(2):
             x[t, a] += dt_s * x[t, a + 2]
-        P[t] = _through(F, P[t])
+        _moved(covariance, dt_s, t, P)
         for a in range(2):
             P[t, a, a] += q * dt_s**3 / 3.0
             P[t, a, a + 2] += q * dt_s**2 / 2.0
@@ -53,20 +51,16 @@ def predict_each(
 
 
 @compiled
-def _through(F: FloatArray, P: FloatArray) -> FloatArray:
-    """F P F^T, symmetric to the bit."""
-    n = F.shape[0]
-    product, result = np.zeros((n, n)), np.zeros((n, n))
-    for a in range(n):
-        for b in range(n):
-            for c in range(n):
-                product[a, b] += F[a, c] * P[c, b]
-    for a in range(n):
-        for b in range(a, n):
-            for c in range(n):
-                result[a, b] += product[a, c] * F[b, c]
-            result[b, a] = result[a, b]
-    return result
+def _moved(P: FloatArray, dt_s: float, t: int, result: FloatArray) -> None:
+    """Sets result[t] to F P[t] F^T, F = [[1, dt], [0, 1]] per axis, symmetric to the bit."""
+    for a in range(4):
+        for b in range(a, 4):
+            value = P[t, a, b]
+            if a < 2:
+                value += dt_s * P[t, a + 2, b]
+            if b < 2:
+                value += dt_s * (P[t, a, b + 2] + dt_s * P[t, a + 2, b + 2])
+            result[t, a, b] = result[t, b, a] = value
 
 
 @compiled

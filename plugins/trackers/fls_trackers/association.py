@@ -49,6 +49,17 @@ class Association(NamedTuple):
     approximate: int  # clusters that fell back to belief propagation
 
 
+class Pairs(NamedTuple):
+    """Pairs of a track and a measurement in its gate, as in `Gated`, and what becomes of them."""
+
+    start: IntArray  # (n + 1,)
+    places: IntArray  # (pairs,)
+    ratio: FloatArray  # (pairs,) p_d N / (density (1 - p_d p_g))
+    live: BoolArray  # (pairs,) whether the measurement may be taken
+    beta: FloatArray  # (pairs,), filled
+    beta_none: FloatArray  # (n,), filled
+
+
 def associate(
     gated: Gated,
     density: FloatArray,
@@ -96,23 +107,22 @@ def shared_out(
         ratio[e] = factor * likelihood[e] / density[places[e]]
     beta, beta_none, taken = np.zeros(places.size), np.ones(n), np.zeros(m)
     claimed, in_gate, live = np.zeros(m, np.bool_), np.zeros(n, np.bool_), np.zeros(places.size, np.bool_)
+    pairs = Pairs(start, places, ratio, live, beta, beta_none)
     budget = np.array([MAX_STEPS, MAX_MESSAGES])
-    work = np.full(m, -1)
     approximate = 0
     for level in range(rank.max() + 1 if n else 0):
+        chosen = np.zeros(n, np.bool_)
         for t in range(n):
             for e in range(start[t], start[t + 1] if rank[t] == level else 0):
                 live[e] = taken[places[e]] <= 0.5
-                in_gate[t] |= live[e]
+                chosen[t] |= live[e]
                 claimed[places[e]] |= level == 0
-        chosen = in_gate & (rank == level)
-        if sharing == INDEPENDENT:
-            for one in np.flatnonzero(chosen):
-                _one_track(int(one), start, ratio, live, beta, beta_none)
-        else:
-            approximate += _all_clusters(
-                chosen, start, places, ratio, live, work, max_shared, sharing, budget, beta, beta_none
-            )
+            in_gate[t] |= chosen[t]
+        if sharing != INDEPENDENT:
+            approximate += _neighbours(chosen, pairs, m, max_shared, sharing, budget)
+        for t in range(n):
+            if chosen[t]:
+                _alone(t, pairs, sharing)
         for t in range(n):
             for e in range(start[t], start[t + 1] if rank[t] == level else 0):
                 left = 1.0 - taken[places[e]] if sharing == INDEPENDENT else 1.0
@@ -143,75 +153,74 @@ def evidence(
 
 
 @compiled
-def _all_clusters(
-    chosen: BoolArray,
-    start: IntArray,
-    places: IntArray,
-    ratio: FloatArray,
-    live: BoolArray,
-    work: IntArray,
-    max_shared: int,
-    sharing: int,
-    budget: IntArray,
-    beta: FloatArray,
-    beta_none: FloatArray,
+def _neighbours(
+    chosen: BoolArray, pairs: Pairs, m: int, max_shared: int, sharing: int, budget: IntArray
 ) -> int:
-    """Fills beta and beta_none of the chosen tracks; gives how many of their clusters are approximate."""
-    tracks, first = clusters(start, places, live, chosen, work.size)
+    """Fills beta and beta_none of the chosen tracks that share measurements, and takes them from `chosen`.
+
+    Gives how many of their clusters are approximate.
+    """
+    start, places, live = pairs.start, pairs.places, pairs.live
+    gating, shares, some = np.zeros(m, np.int64), np.zeros(chosen.size, np.bool_), False
+    for t in range(chosen.size):
+        for e in range(start[t], start[t + 1] if chosen[t] else 0):
+            gating[places[e]] += live[e]
+    for t in range(chosen.size):
+        for e in range(start[t], start[t + 1] if chosen[t] else 0):
+            shares[t] |= live[e] and gating[places[e]] > 1
+        some |= shares[t]
+        chosen[t] &= not shares[t]
     approximate = 0
-    for c in range(first.size - 1):
-        if sharing == JOINT and first[c + 1] - first[c] == 1:
-            _one_track(tracks[first[c]], start, ratio, live, beta, beta_none)
-        else:
+    if some:
+        work = np.full(m, -1)
+        tracks, first = clusters(start, places, live, shares, m)
+        for c in range(first.size - 1):
             members = tracks[first[c] : first[c + 1]]
-            approximate += _cluster(
-                members, start, places, ratio, live, work, max_shared, sharing, budget, beta, beta_none
-            )
+            approximate += _cluster(members, pairs, work, max_shared, sharing, budget)
     return approximate
 
 
 @compiled
 def _cluster(
-    members: IntArray,
-    start: IntArray,
-    places: IntArray,
-    ratio: FloatArray,
-    live: BoolArray,
-    work: IntArray,
-    max_shared: int,
-    sharing: int,
-    budget: IntArray,
-    beta: FloatArray,
-    beta_none: FloatArray,
+    members: IntArray, pairs: Pairs, work: IntArray, max_shared: int, sharing: int, budget: IntArray
 ) -> bool:
     """Fills beta and beta_none of one cluster's tracks; gives whether they are approximate.
 
     `work` (m,) is all -1, and so again afterwards.
     """
     if sharing == JOINT and members.size == 2:
-        _two_tracks(members[0], members[1], start, places, ratio, live, beta, beta_none)
+        _two_tracks(members[0], members[1], pairs)
         return False
-    first, pairs, detection, m = cluster_pairs(members, start, places, live, work)
+    start, places, ratio, live, beta, beta_none = pairs
+    first, own, detection, m = cluster_pairs(members, start, places, live, work)
     if sharing == ASSIGNED:
-        beta[pairs], beta_none[members] = most_probable(first, detection, ratio[pairs], m)
+        beta[own], beta_none[members] = most_probable(first, detection, ratio[own], m)
         return False
     sweep = plan(first, detection, m, max_shared)
-    steps = (pairs.size + members.size) << min(sweep.width, 32)
+    steps = (own.size + members.size) << min(sweep.width, 32)
     exact = sweep.width <= max_shared and steps <= budget[0]
     if exact:
         budget[0] -= steps
-        b, none = all_events(first, ratio[pairs], sweep)
+        b, none = all_events(first, ratio[own], sweep)
     else:
-        b, none = bounded(first, detection, ratio[pairs], m, max_shared, budget)
-    beta[pairs] = b
+        b, none = bounded(first, detection, ratio[own], m, max_shared, budget)
+    beta[own] = b
     beta_none[members] = none
     return not exact
 
 
 @compiled
-def _one_track(
-    t: int, start: IntArray, ratio: FloatArray, live: BoolArray, beta: FloatArray, beta_none: FloatArray
-) -> None:
+def _alone(t: int, pairs: Pairs, sharing: int) -> None:
+    """Fills beta and beta_none of a track whose measurements no other one has."""
+    start, ratio, live, beta, beta_none = pairs.start, pairs.ratio, pairs.live, pairs.beta, pairs.beta_none
+    if sharing == ASSIGNED:  # its best measurement, unless a miss is more probable
+        best, most = -1, 1.0
+        for e in range(start[t], start[t + 1]):
+            if live[e] and (ratio[e] > most or (ratio[e] == most and best < 0)):
+                best, most = e, ratio[e]
+        if best >= 0:
+            beta[best], beta_none[t] = 1.0, 0.0
+        return
     total = 1.0
     for e in range(start[t], start[t + 1]):
         total += ratio[e] if live[e] else 0.0
@@ -221,17 +230,9 @@ def _one_track(
 
 
 @compiled
-def _two_tracks(
-    s: int,
-    t: int,
-    start: IntArray,
-    places: IntArray,
-    ratio: FloatArray,
-    live: BoolArray,
-    beta: FloatArray,
-    beta_none: FloatArray,
-) -> None:
+def _two_tracks(s: int, t: int, pairs: Pairs) -> None:
     """The commonest cluster: what each track takes, times all that the other may take besides."""
+    start, places, ratio, live, beta, beta_none = pairs
     total = 0.0
     for one, other in ((s, t), (t, s)):
         none = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal, NamedTuple, Self, get_args
 
 import numpy as np
@@ -15,27 +15,24 @@ from fls_flow.geometry import Pose
 from fls_flow.kernels import frozen
 from fls_flow.messages import Frame
 from fls_trackers.adaptive_noise import NOISE_COLUMNS, predict_each
-from fls_trackers.clutter import ClutterDensity, cell_density
-from fls_trackers.conversion import convert
-from fls_trackers.echo_strength import STRENGTH_COLUMNS, begun_strength, strengths
-from fls_trackers.encounters import MEETING_COLUMNS, Scan, encounters
-from fls_trackers.fusion import Fusion, fused
+from fls_trackers.clutter import ClutterDensity
+from fls_trackers.diver_scan import FIXED, Row, Scanned, diver_scan
+from fls_trackers.echo_strength import STRENGTH_COLUMNS, strengths
+from fls_trackers.encounters import MEETING_COLUMNS
+from fls_trackers.fusion import Fusion
 from fls_trackers.grouping import grouped
-from fls_trackers.initiation import by_place, strongest
 from fls_trackers.placement import Placement, check_finite
+from fls_trackers.scan import row
 from fls_trackers.settings import Grain, Settings
-from fls_trackers.single_target import follow, settle_by_score
-from fls_trackers.track_bank import MAX_WINDOW, Ledger, TrackBank, new_tracks
+from fls_trackers.track_bank import MAX_WINDOW, TrackBank
 
 __all__ = ["DiverTracks", "Sharing"]
 
 FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 Sharing = Literal["joint", "own"]
 
-TENTATIVE, LOST = int(TrackStatus.TENTATIVE), int(TrackStatus.LOST)
+LOST = int(TrackStatus.LOST)
 
 
 class _Tables(NamedTuple):
@@ -43,33 +40,10 @@ class _Tables(NamedTuple):
 
     noise: FloatArray  # (n, NOISE_COLUMNS)
     strength: FloatArray  # (n, STRENGTH_COLUMNS)
-    meeting: FloatArray  # (n, MEETING_COLUMNS)
+    meeting: FloatArray  # (n, MEETING_COLUMNS), or none if tracks are not told apart after they met
 
     def select(self, which: npt.NDArray[Any]) -> _Tables:
         return _Tables(*(table[which] for table in self))
-
-    def joined(self, other: _Tables) -> _Tables:
-        return _Tables(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
-
-    @classmethod
-    def begun(cls, ln_amplitude: FloatArray) -> _Tables:
-        """Those of tracks that begin with one event each."""
-        n = ln_amplitude.size
-        return cls(np.zeros((n, NOISE_COLUMNS)), begun_strength(ln_amplitude), np.zeros((n, MEETING_COLUMNS)))
-
-
-def _no_tables() -> _Tables:
-    return _Tables.begun(np.zeros(0))
-
-
-class _Events(NamedTuple):
-    """What a ping has seen, one event per object."""
-
-    range_m: FloatArray  # (m,)
-    bearing_rad: FloatArray  # (m,)
-    amplitude: FloatArray  # (m,)
-    y: FloatArray  # (m, 2) in the frame of the tracks
-    R0: FloatArray  # (m, 2, 2)
 
 
 @dataclass
@@ -96,7 +70,9 @@ class DiverTracks:
     max_tracks: int
 
     _bank: TrackBank = field(default_factory=TrackBank, init=False, repr=False)
-    _tables: _Tables = field(default_factory=_no_tables, init=False, repr=False)
+    _tables: _Tables = field(init=False, repr=False)
+    _fixed: Row = field(init=False, repr=False)
+    _heard: bool = field(init=False, repr=False)
     _clutter: ClutterDensity = field(init=False, repr=False)
     _place: Placement = field(init=False, repr=False)
     _next_id: int = field(default=1, init=False, repr=False)
@@ -122,6 +98,34 @@ class DiverTracks:
         s = self.settings
         self._place = Placement(s, self.frame)
         self._clutter = ClutterDensity(s.clutter, s.p_fa, window=20)
+        self._fixed = self._fixed_settings()
+        self._heard = bool(self._fixed["heard"][0])
+        columns = (NOISE_COLUMNS, STRENGTH_COLUMNS, self._meeting_columns)
+        self._tables = _Tables(*(np.zeros((0, n)) for n in columns))
+
+    @property
+    def _meeting_columns(self) -> int:
+        return MEETING_COLUMNS if self.meeting_m else 0
+
+    def _fixed_settings(self) -> Row:
+        s, joint, probable = self.settings, self.sharing == "joint", self.settings.hit == "probable"
+        resolution_m = self.group_m if self.resolution_m is None else self.resolution_m
+        miss = 1.0 - s.p_d * s.gate_probability
+        # Tracks that take one event each have none together with others: nobody asks how strong they are.
+        together = joint and resolution_m > 0.0 and not (self.one_event and probable)
+        derived = {
+            "resolution_m": resolution_m,
+            "amplitude_sd": self.amplitude_sd or 0.0,
+            "meeting_m": self.meeting_m or 0.0,
+            "factor": s.p_d / miss,
+            "miss": miss,
+            "only_probable": probable,
+            "joint": joint,
+            "heard": together or self.amplitude_sd is not None,
+            "by_intersection": self.fusion == "covariance-intersection",
+        }
+        given = {**asdict(s), **vars(self), **derived}
+        return np.array([tuple(given[name] for name in FIXED.names or ())], FIXED)
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any], *, one_event: bool) -> Self:
@@ -133,29 +137,64 @@ class DiverTracks:
 
     def __call__(self, detections: Detections) -> Tracks:
         """The tracks at the stamp of `detections`, after its update."""
-        dt_s = self._place.elapsed_s(detections)
-        check_finite(detections)
-        grain, pose = self._place.grain_of(detections.view), self._place.pose(detections)
+        place = self._place
+        dt_s = place.elapsed_s(detections)
+        grain, pose = place.grain_of(detections.view), place.pose(detections)
+        if pose is None or not grain.area_m2:
+            check_finite(detections)
         if pose is None:
-            shown, tables = self._unseen(dt_s), self._tables
+            shown = self._bank = self._unseen(dt_s)
         else:
-            shown, tables = self._seen(self._events(detections, grain, pose), dt_s, pose, grain)
-        goes_on = shown.ledger["status"] != LOST
-        self._bank, self._tables = shown.select(goes_on), tables.select(goes_on)
-        self._place.stamp_ns = detections.stamp_ns
+            found = self._scanned(detections, dt_s, pose, grain)
+            self._bank = shown = TrackBank(found.state, found.covariance, found.ledger)
+            self._tables = _Tables(found.noise, found.strength, found.meeting)
+            if found.lost:
+                goes_on = shown.ledger["status"] != LOST
+                self._bank, self._tables = shown.select(goes_on), self._tables.select(goes_on)
+        place.stamp_ns = detections.stamp_ns
         return shown.message(detections.seq, detections.stamp_ns, self.frame)
 
-    def _events(self, detections: Detections, grain: Grain, pose: Pose) -> _Events:
-        r, b, level = (
-            frozen(row) for row in (detections.range_m, detections.bearing_rad, detections.amplitude)
+    def _scanned(self, detections: Detections, dt_s: float, pose: Pose, grain: Grain) -> Scanned:
+        """What the ping makes of the tracks."""
+        bank = self._bank
+        r, b, level = row(detections.range_m), row(detections.bearing_rad), row(detections.amplitude)
+        p_fa, least_density = self._clutter_terms(r, b, level, grain.area_m2)
+        found = Scanned(
+            *diver_scan(
+                bank.state,
+                bank.covariance,
+                bank.ledger,
+                *self._tables,
+                r,
+                b,
+                level,
+                frozen(strengths(level)) if self._heard else level,
+                self._next_id,
+                dt_s,
+                grain.range_sd_m,
+                grain.bearing_sd_rad,
+                pose.north_m,
+                pose.east_m,
+                pose.heading_rad,
+                p_fa,
+                least_density,
+                grain.cell_m,
+                grain.spacing_rad,
+                self._fixed,
+            )
         )
-        if self.group_m > 0.0:
-            r, b, group = grouped(r, b, level, self.group_m)
-            most = np.full(r.size, -np.inf)
-            np.maximum.at(most, group, np.nan_to_num(level, nan=-np.inf))
-            r, b, level = frozen(r), frozen(b), frozen(most)
-        y, R0 = convert(r, b, grain.range_sd_m, grain.bearing_sd_rad, pose)
-        return _Events(r, b, level, y, R0 + self.extent_sd_m**2 * np.eye(2))
+        if not found.finite:
+            check_finite(detections)
+        self._clutter.count(found.unclaimed)
+        self._next_id += found.begun
+        return found
+
+    def _clutter_terms(
+        self, r: FloatArray, b: FloatArray, level: FloatArray, area_m2: float
+    ) -> tuple[float, float]:
+        if not area_m2 and self.group_m:  # the sector is that in which there were events
+            r, b, _ = grouped(r, b, level, self.group_m)
+        return self._clutter.terms(r, b, area_m2)
 
     def _unseen(self, dt_s: float) -> TrackBank:
         """The predicted tracks of a ping that could not be placed."""
@@ -165,87 +204,6 @@ class DiverTracks:
         ledger["age"] += 1
         return TrackBank(x, P, ledger)
 
-    def _seen(self, events: _Events, dt_s: float, pose: Pose, grain: Grain) -> tuple[TrackBank, _Tables]:
-        """Tracks that go on, are lost, or begin, with what is known of them."""
-        s, bank = self.settings, self._bank
-        clutter = self._clutter.terms(events.range_m, events.bearing_rad, grain.area_m2)
-        p_g, ln_amplitude = s.gate_probability, strengths(events.amplitude)
-        resolution_m = self.group_m if self.resolution_m is None else self.resolution_m
-        x, P, rows, noise, strength, event, none, known, claimed = follow(
-            bank.state,
-            bank.covariance,
-            bank.ledger,
-            self._tables.noise,
-            self._tables.strength,
-            events.y,
-            ln_amplitude,
-            cell_density(events.range_m, clutter[0], grain.cell_m, grain.spacing_rad, clutter[1]),
-            (dt_s, self.velocity_walk_mps),
-            (grain.range_sd_m, grain.bearing_sd_rad, pose.north_m, pose.east_m, pose.heading_rad),
-            (self.extent_sd_m, self.amplitude_sd or 0.0, resolution_m),
-            (s.gamma, s.p_d / (1.0 - s.p_d * p_g), 1.0 - s.p_d * p_g),
-            (self.one_event, s.hit == "probable", self.estimate_noise, self.sharing == "joint"),
-        )
-        self._clutter.count(int(np.count_nonzero(~claimed)))
-        rows, keep, part = settle_by_score(
-            rows,
-            x,
-            P,
-            event,
-            none,
-            (s.m1, s.n1, s.start_score),
-            self.max_propagate,
-            s.max_sd_m,
-            self.max_common_events,
-            self.sharing == "joint",
-        )
-        for t in np.flatnonzero(part >= 0):
-            other = part[t]
-            x[other], P[other] = fused(x[other], P[other], x[t], P[t], self.fusion)
-        tables = _Tables(noise, strength, self._tables.meeting)
-        x, P, tables = self._told_apart(rows, keep, x, P, tables, event, ln_amplitude, dt_s)
-        shown = np.flatnonzero(keep | (rows["status"] == LOST))
-        which = self._chosen(events, ~known, self.max_tracks - int(np.count_nonzero(keep)))
-        return (
-            TrackBank(x, P, rows).select(shown).joined(self._starts(events, which)),
-            tables.select(shown).joined(_Tables.begun(ln_amplitude[which])),
-        )
-
-    def _told_apart(
-        self,
-        rows: Ledger,
-        keep: BoolArray,
-        x: FloatArray,
-        P: FloatArray,
-        tables: _Tables,
-        event: IntArray,
-        ln_amplitude: FloatArray,
-        dt_s: float,
-    ) -> tuple[FloatArray, FloatArray, _Tables]:
-        """States, covariances and tables, exchanged between tracks that met and parted with the wrong one."""
-        if self.meeting_m is None:
-            return x, P, tables
-        status = np.where(keep, rows["status"], LOST)
-        scan = Scan(frozen(rows["id"]), status, x, P, tables.strength, event, ln_amplitude)
-        walk, amplitude_sd = (dt_s, self.velocity_walk_mps), self.amplitude_sd or 0.0
-        meeting, path = encounters(tables.meeting, scan, walk, self.meeting_m, amplitude_sd)
-        return x[path], P[path], _Tables(tables.noise[path], tables.strength[path], meeting)
-
-    def _chosen(self, events: _Events, free: BoolArray, room: int) -> IntArray:
-        """Which of the `free` events start tracks: at most `room`, the strongest ones, by place."""
-        which = np.flatnonzero(free)
-        if which.size > room:
-            free = np.zeros_like(free)
-            free[strongest(which, events.amplitude, max(room, 0))] = True
-        return by_place(free, events.range_m, events.bearing_rad)
-
-    def _starts(self, events: _Events, which: IntArray) -> TrackBank:
-        speed = self.settings.speed_sd_mps
-        starts = new_tracks(events.y, events.R0, (speed, speed), TENTATIVE, which)
-        starts.ledger["id"] = np.arange(self._next_id, self._next_id + len(starts))
-        self._next_id += len(starts)
-        return starts
-
     def snapshot(self) -> dict[str, Any]:
         """Everything that later outputs depend on, as copies."""
         return {
@@ -253,7 +211,9 @@ class DiverTracks:
             **self._clutter.snapshot(),
             "noise": self._tables.noise.copy(),
             "strength": self._tables.strength.copy(),
-            "meeting": self._tables.meeting.copy(),
+            "meeting": self._tables.meeting.copy()
+            if self.meeting_m
+            else np.zeros((len(self._bank), MEETING_COLUMNS)),
             "next_id": self._next_id,
             "stamp_ns": self._place.stamp_ns,
         }
@@ -265,7 +225,7 @@ class DiverTracks:
         self._tables = _Tables(
             np.array(saved["noise"], float).reshape(-1, NOISE_COLUMNS),
             np.array(saved["strength"], float).reshape(-1, STRENGTH_COLUMNS),
-            np.array(saved["meeting"], float).reshape(-1, MEETING_COLUMNS),
+            np.array(saved["meeting"], float).reshape(-1, MEETING_COLUMNS)[:, : self._meeting_columns].copy(),
         )
         self._next_id = int(saved["next_id"])
         stamp = saved["stamp_ns"]

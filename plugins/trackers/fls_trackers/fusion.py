@@ -6,13 +6,14 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from numpy.linalg import inv
 
-__all__ = ["Fusion", "fused"]
+from fls_flow.kernels import compiled
+
+__all__ = ["Fusion", "fuse", "fused"]
 
 FloatArray = npt.NDArray[np.float64]
 Fusion = Literal["algebraic", "covariance-intersection"]
-SHARES = np.linspace(0.0, 1.0, 101)
+SHARES = 100  # steps of the weight that the intersection looks at
 
 
 def fused(
@@ -26,10 +27,57 @@ def fused(
 
     Source: Brinkmann 2010 (3.33)-(3.35); Julier & Uhlmann 1997.
     """
-    J1, J2 = inv(P1), inv(P2)
-    w = np.ones(1) if fusion == "algebraic" else SHARES
-    v = np.ones(1) if fusion == "algebraic" else 1.0 - SHARES
-    P = inv(w[:, None, None] * J1 + v[:, None, None] * J2)
-    best = int(np.argmin(P[:, 0, 0] + P[:, 1, 1]))
-    P_best = 0.5 * (P[best] + P[best].T)
-    return P_best @ (w[best] * (J1 @ x1) + v[best] * (J2 @ x2)), P_best
+    x, P = np.stack([x1, x2]), np.stack([P1, P2])
+    fuse(x, P, 0, 1, fusion == "covariance-intersection")
+    return x[0], P[0]
+
+
+@compiled
+def fuse(x: FloatArray, P: FloatArray, i: int, j: int, intersection: bool) -> None:
+    """Sets track i of states (n, 4) and covariances (n, 4, 4) to what `fused` gives of tracks i and j."""
+    J1, J2 = _inverse(P[i]), _inverse(P[j])
+    w, v = 1.0, 1.0
+    best = _inverse(J1 + J2)
+    if intersection:
+        least = np.inf
+        for k in range(SHARES + 1):
+            share = k / SHARES
+            joined = _inverse(share * J1 + (1.0 - share) * J2)
+            if joined[0, 0] + joined[1, 1] < least:
+                best, least, w, v = joined, joined[0, 0] + joined[1, 1], share, 1.0 - share
+    told = np.zeros(4)
+    for a in range(4):
+        for b in range(4):
+            told[a] += w * J1[a, b] * x[i, b] + v * J2[a, b] * x[j, b]
+    for a in range(4):
+        x[i, a] = 0.0
+        for b in range(4):
+            x[i, a] += best[a, b] * told[b]
+            P[i, a, b] = best[a, b]
+
+
+@compiled
+def _inverse(P: FloatArray) -> FloatArray:
+    """That of a positive definite matrix, symmetric to the bit, by its Cholesky factor."""
+    n = P.shape[0]
+    L = np.zeros((n, n))  # P = L L^T
+    M = np.zeros((n, n))  # L^-1
+    for a in range(n):
+        for b in range(a + 1):
+            left = P[a, b]
+            for c in range(b):
+                left -= L[a, c] * L[b, c]
+            L[a, b] = np.sqrt(max(left, 1e-300)) if a == b else left / L[b, b]
+        M[a, a] = 1.0 / L[a, a]
+        for b in range(a):
+            total = 0.0
+            for c in range(b, a):
+                total += L[a, c] * M[c, b]
+            M[a, b] = -total * M[a, a]
+    result = np.zeros((n, n))
+    for a in range(n):
+        for b in range(a + 1):
+            for c in range(a, n):
+                result[a, b] += M[c, a] * M[c, b]
+            result[b, a] = result[a, b]
+    return result

@@ -19,6 +19,7 @@ __all__ = [
     "by_place",
     "distinct",
     "several_in_a_beam",
+    "starting",
     "strongest",
 ]
 
@@ -152,6 +153,22 @@ def several_in_a_beam(bearing_rad: FloatArray, candidate: BoolArray, spacing_rad
     apart = np.abs(bearing_rad[where, None] - bearing_rad[None, where])
     several[where] = np.count_nonzero(apart < spacing_rad, axis=1) > 1
     return several
+
+
+@compiled
+def starting(
+    free: BoolArray, range_m: FloatArray, bearing_rad: FloatArray, amplitude: FloatArray, room: int
+) -> tuple[IntArray, bool]:
+    """Which of the detections that are `free` begin tracks, by place: at most `room`, the strongest ones.
+
+    Also whether there was no room for all.
+    """
+    count = free.sum()
+    if count <= room:
+        return by_place(free, range_m, bearing_rad), False
+    best = np.zeros(free.size, np.bool_)
+    best[strongest(np.flatnonzero(free), amplitude, max(room, 0))] = True
+    return by_place(best, range_m, bearing_rad), count > 0
 
 
 @compiled

@@ -173,17 +173,22 @@ def suspect(
     """
     repeats = np.zeros(rows.size, np.bool_)
     x, y = state[:, 0].copy(), state[:, 1].copy()
-    var_x, var_y = covariance[:, 0, 0].copy(), covariance[:, 1, 1].copy()
+    reach_x, reach_y = MERGE_GATE * covariance[:, 0, 0], MERGE_GATE * covariance[:, 1, 1]
     status = rows["status"].copy()
     scratch = np.empty((5, 4))
     near_by = np.zeros(8 * ((rows.size + 7) // 8), np.uint8)
     words = near_by.view(np.uint64)
     for i in range(rows.size):
         row = rows[i]
-        _look_around(i, x, y, var_x, var_y, near_by)
-        rival = -1
-        if _some(words, i):
-            rival = _rival(i, status, repeats, state, covariance, scratch, near_by)
+        here_x, here_y, far_x, far_y = x[i], y[i], reach_x[i], reach_y[i]
+        for j in range(i):  # no distance is less than that along one axis
+            near_by[j] = ((here_x - x[j]) ** 2 <= far_x + reach_x[j]) & (
+                (here_y - y[j]) ** 2 <= far_y + reach_y[j]
+            )
+        some = np.uint64(0)
+        for word in range((i + 7) >> 3):
+            some |= words[word]
+        rival = _rival(i, status, repeats, state, covariance, scratch, near_by) if some else -1
         explained = 2.0 - beta_none[i] - beta_none[rival] - (_both(i, rival, shared) if rival >= 0 else 0.0)
         if rival < 0:
             row.rival_pings = max(0, row.rival_pings - 1)
@@ -196,27 +201,6 @@ def suspect(
         needed = pings if row.status == CONFIRMED else (pings + 3) // 4
         repeats[i] = row.rival_pings >= needed
     return repeats
-
-
-@compiled
-def _look_around(
-    i: int, x: FloatArray, y: FloatArray, var_x: FloatArray, var_y: FloatArray, near_by: npt.NDArray[np.uint8]
-) -> None:
-    """Flags the older tracks near by along x and y: no distance is less than that along one axis."""
-    here_x, here_y, mine_x, mine_y = x[i], y[i], MERGE_GATE * var_x[i], MERGE_GATE * var_y[i]
-    for j in range(i):
-        near_by[j] = ((here_x - x[j]) ** 2 <= mine_x + MERGE_GATE * var_x[j]) & (
-            (here_y - y[j]) ** 2 <= mine_y + MERGE_GATE * var_y[j]
-        )
-
-
-@compiled
-def _some(words: npt.NDArray[np.uint64], n: int) -> bool:
-    """Whether any of n flags is set, looked at eight at a time."""
-    some = np.uint64(0)
-    for word in words[: (n + 7) >> 3]:
-        some |= word
-    return bool(some)
 
 
 @compiled

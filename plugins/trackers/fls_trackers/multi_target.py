@@ -18,7 +18,7 @@ from fls_trackers.initiation import BoxInitiator, box_tracks, several_in_a_beam
 from fls_trackers.kalman import predict
 from fls_trackers.life import Rules, settle
 from fls_trackers.placement import Placement, check_finite
-from fls_trackers.scan import Fixed, Method, Scanned, Starts, scan
+from fls_trackers.scan import Method, Row, Scanned, Starts, fixed_of, scan
 from fls_trackers.settings import Grain, Parameters, Settings, settings_of
 from fls_trackers.track_bank import TrackBank
 
@@ -44,7 +44,7 @@ class MultiTarget:
     max_tracks: int
 
     _bank: TrackBank = field(default_factory=TrackBank, init=False, repr=False)
-    _fixed: Fixed = field(init=False, repr=False)
+    _fixed: Row = field(init=False, repr=False)
     _clutter: ClutterDensity = field(init=False, repr=False)
     _boxes: BoxInitiator = field(init=False, repr=False)
     _next_id: int = field(default=1, init=False, repr=False)
@@ -58,7 +58,7 @@ class MultiTarget:
         s = self.settings
         self._place = Placement(s, self.frame)
         self._clutter = ClutterDensity(s.clutter, s.p_fa, window=20)
-        self._fixed = Fixed.of(s, self.method)
+        self._fixed = fixed_of(s, self.method)
         self._boxes = BoxInitiator(s.m1, s.n1)
 
     @classmethod
@@ -87,7 +87,7 @@ class MultiTarget:
             barred = self._ambiguous(detections, grain)
             found = self._scanned(detections, barred, dt_s, pose, grain)
             shown, some_lost = found.bank, found.lost > 0
-            self._clutter.count(int(np.count_nonzero(found.unclaimed)))
+            self._clutter.count(found.free)
             if self.settings.initiation == "box":
                 shown = shown.joined(self._boxed(detections, pose, grain, found))
             else:
@@ -110,7 +110,7 @@ class MultiTarget:
         s = self.settings
         clutter = self._clutter.terms(detections.range_m, detections.bearing_rad, grain.area_m2)
         room = 0 if s.initiation == "box" else self.max_tracks
-        starts = Starts(room, self._next_id, s.speed_sd_mps)
+        starts = Starts(room, self._next_id)
         found = scan(
             self._bank,
             detections,
@@ -154,11 +154,12 @@ class MultiTarget:
 
     def _unseen(self, dt_s: float) -> TrackBank:
         """The predicted tracks after a ping that could not be placed, those that end by it as lost."""
-        bank = self._bank
-        state, covariance = predict(bank.state, bank.covariance, dt_s, self.settings.sigma_v_mps2)
+        s, bank = self.settings, self._bank
+        state, covariance = predict(bank.state, bank.covariance, dt_s, s.sigma_v_mps2)
         ledger = bank.ledger.copy()
         ledger["age"] += 1
-        ledger, keep = settle(ledger, np.zeros(len(bank), bool), covariance, Rules(*self._fixed.rules))
+        rules = Rules(s.m1, s.n1, s.start_score, s.m2, s.n2, s.max_sd_m)
+        ledger, keep = settle(ledger, np.zeros(len(bank), bool), covariance, rules)
         return TrackBank(state, covariance, ledger).select(keep | (ledger["status"] == LOST))
 
     def snapshot(self) -> dict[str, Any]:

@@ -18,7 +18,8 @@ class Nnkf(DiverTracker):
     The nearest is that with the least d2 = nu^T S^-1 nu <= `gamma`. With `hit: probable` it must also be
     more likely than none, p_d N(y; H x, S) / lambda > 1 - p_d p_g; without an event state and covariance
     stay as predicted. With `sharing: joint` (and `hit: probable`) the tracks take their events by the most
-    probable joint event; else two tracks may take the same event, until they are fused.
+    probable joint event, and move by the mean over it and its `exchanges`; else two tracks may take the same
+    event, until they are fused.
 
     Everything else, and every parameter, is as in `pdaf`. A single nearest event is a surer one than PDAF's
     mean in little clutter, and loses its object sooner in much.

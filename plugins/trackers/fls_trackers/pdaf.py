@@ -50,8 +50,9 @@ class Pdaf(DiverTracker):
     so that two swimmers who meet and part keep their tracks.
 
     `meeting_m`: confirmed tracks that come nearer than that to each other, and part, may leave with each
-    other's swimmer. They then exchange their places, when velocity, speed and strength have said so for three
-    pings, by what they were while alone (None: never).
+    other's swimmer. They then exchange their places, with each other or with a track that began beside them,
+    when velocity, speed and strength have said so for three pings, by what they were while alone (None:
+    never).
 
     With `frame: ned` tracks are in north and east; in a ping without position or heading they are only
     predicted.

@@ -198,7 +198,7 @@ def grain_of(view: View, settings: Settings) -> Grain:
     if view.beamwidth_rad > spacing:
         bearing_sd = view.beamwidth_rad
     if settings.sigma_d_m is not None:
-        range_sd = settings.sigma_d_m
+        range_sd = float(settings.sigma_d_m)
     if settings.sigma_delta_deg is not None:
         bearing_sd = math.radians(settings.sigma_delta_deg)
     area = view.area_m2

@@ -12,9 +12,11 @@ from fls_trackers.adaptive_noise import SENSOR, learn, predict_each
 from fls_trackers.association import ASSIGNED, INDEPENDENT, JOINT, evidence, shared_out
 from fls_trackers.conversion import noise_of
 from fls_trackers.echo_strength import agreeing, learned
+from fls_trackers.exchanges import exchanged
 from fls_trackers.gating import pairs_in_gates
 from fls_trackers.kalman import update
-from fls_trackers.life import CONFIRMED, LOST, SEEN, TENTATIVE, UNRESOLVED, count, largest_sd, near, ones
+from fls_trackers.life import CONFIRMED, LOST, TENTATIVE, count, largest_sd, ones
+from fls_trackers.repeats import alike, common
 from fls_trackers.track_bank import Ledger
 from fls_trackers.unresolved import common_events
 
@@ -25,9 +27,7 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 Gains = tuple[float, float, float]  # gamma, p_d / (1 - p_d p_g), 1 - p_d p_g
 
-SAME_GATE = 9.49  # statistical distance over position and velocity of tracks that may be one: 95 %
 MAX_SHARED = 14  # events that a cluster of tracks may share at a time, for exact probabilities
-LONG_KNOWN = 40  # pings: what a track's own past counts at most against being part of another
 
 
 @compiled
@@ -57,11 +57,11 @@ def follow(
     (m) and of ln(amplitude), 0: not weighed, and the distance (m) of objects that may make one event.
     `choices`: one_event, only_probable, adaptive, joint. Each track weighs all events in its gate (PDAF), or
     takes the nearest (`one_event`, NNKF); if `joint`, by the probabilities of joint events, in which no event
-    is two tracks', or by the most probable one. An update is an event in the gate; if `only_probable`, one
-    more likely than none, and the NNKF then takes no other. The track's own event is the most probable one,
-    -1 when none is more probable. Confirmed tracks come first: tentative ones get the events that more likely
-    are no confirmed track's. An event that lies in a gate starts no track; if `joint`, it does unless it more
-    likely is some track's, or the best that a track has.
+    is two tracks', or by the most probable one and its `exchanges`. An update is an event in the gate; if
+    `only_probable`, one more likely than none, and the NNKF then takes no other. The track's own event is the
+    most probable one, -1 when none is more probable. Confirmed tracks come first: tentative ones get the
+    events that more likely are no confirmed track's. An event that lies in a gate starts no track; if
+    `joint`, it does unless it more likely is some track's, or the best that a track has.
 
     Source: Brinkmann 2010 (3.20)-(3.31), with the density per m^2, 1 - p_d p_g for a miss, and a gate first.
     """
@@ -80,7 +80,11 @@ def follow(
     where, moved, shares, rest, several = common_events(
         start, places, beta, none, x, strength, y, spread[2] if joint else 0.0
     )
-    x, P = update(x, P, R, moved, start, where, shares, rest)
+    left = rest
+    if one_event and only_probable and joint:
+        rank = _ranks(ledger)
+        shares, left = exchanged(start, places, likelihood, density, factor, rank, shares, rest)
+    x, P = update(x, P, R, moved, start, where, shares, left)
     hit = in_gate & (rest < 0.5) if only_probable else in_gate
     levels = learned(strength, start, places, beta, ln_amplitude, motion[0])
     for t in range(several.size):
@@ -104,9 +108,7 @@ def _shared(
     joint: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]:
     """beta (pairs,), beta_none (n,) and its part in the score; taken and claimed (m,), in_gate (n,)."""
-    rank = np.zeros(ledger.size, np.int64)
-    for t in range(ledger.size):
-        rank[t] = ledger[t].status == TENTATIVE
+    rank = _ranks(ledger)
     assigned = joint and one_event and only_probable
     sharing = (ASSIGNED if assigned else JOINT) if joint else INDEPENDENT
     beta, none, taken, claimed, in_gate, _ = shared_out(
@@ -122,15 +124,26 @@ def _shared(
 
 
 @compiled
+def _ranks(ledger: Ledger) -> IntArray:
+    """Confirmed tracks take first."""
+    rank = np.zeros(ledger.size, np.int64)
+    for t in range(ledger.size):
+        rank[t] = ledger[t].status == TENTATIVE
+    return rank
+
+
+@compiled
 def _noise(
     x: FloatArray, noise: FloatArray, sensor: tuple[float, float, float, float, float], extent_sd_m: float
 ) -> FloatArray:
     """R (n, 2, 2) of each track's events: the sensor's noise, and how the echo's centre wanders."""
     R = noise_of(x, sensor[0], sensor[1], sensor[2], sensor[3], sensor[4])
     for t in range(R.shape[0]):
+        factor = math.exp(noise[t, SENSOR])
         for a in range(2):
             R[t, a, a] += extent_sd_m * extent_sd_m
-        R[t] *= math.exp(noise[t, SENSOR])
+            for b in range(2):
+                R[t, a, b] *= factor
     return R
 
 
@@ -216,81 +229,12 @@ def settle_by_score(
         elif row.history & ((1 << (max_propagate + 1)) - 1) == 0:
             keep[t] = False
         keep[t] &= largest_sd(covariance[t]) <= max_sd_m
-    for level in (CONFIRMED, TENTATIVE):
-        for t in range(table.size if max_common else 0):
-            if rows[t].status == level and keep[t]:
-                part[t] = _other_self(
-                    t, rows["status"], table, keep, state, covariance, event, none, max_common, joint
-                )
-                keep[t] = part[t] < 0
+    status = rows["status"].copy()
+    if max_common and joint:
+        part = alike(status, table, keep, state, covariance, none, max_common)
+    elif max_common:
+        part = common(status, table, keep, state, covariance, event, max_common)
     for t in range(table.size):
         if table[t].status == CONFIRMED and not keep[t]:
             table[t].status = LOST
     return table, keep, part
-
-
-@compiled
-def _other_self(
-    t: int,
-    status: IntArray,
-    table: Ledger,
-    keep: BoolArray,
-    state: FloatArray,
-    covariance: FloatArray,
-    event: IntArray,
-    none: FloatArray,
-    max_common: int,
-    joint: bool,
-) -> int:
-    """The track that track t is part of, after counting their common events in `table`; -1: none.
-
-    That one is confirmed if t is, and the older of two that both are, or both are not.
-    """
-    if joint:
-        return _repeated(t, status, table, keep, state, covariance, none, max_common)
-    row = table[t]
-    for j in range(table.size):
-        senior = status[j] > status[t] or (status[j] == status[t] and j < t)
-        if not (senior and keep[j] and event[t] >= 0 and event[j] >= 0):
-            continue
-        if event[j] == event[t]:
-            row.rival_pings = row.rival_pings + 1 if row.rival == table[j].id else 1
-            row.rival = table[j].id
-            if row.rival_pings < max_common:
-                return -1
-            return j if near(state, covariance, t, j, SAME_GATE, np.empty((5, 4))) else -1
-        if table[j].id == row.rival:
-            row.rival, row.rival_pings = 0, 0
-    return -1
-
-
-@compiled
-def _repeated(
-    t: int,
-    status: IntArray,
-    table: Ledger,
-    keep: BoolArray,
-    state: FloatArray,
-    covariance: FloatArray,
-    none: FloatArray,
-    max_common: int,
-) -> int:
-    """The same for tracks that share events out: both are near, and have about one event together."""
-    row, scratch = table[t], np.empty((5, 4))
-    for j in range(table.size):
-        senior = status[j] > status[t] or (status[j] == status[t] and j < t)
-        reach = 1.001 * SAME_GATE * (covariance[t, 0, 0] + covariance[j, 0, 0])
-        apart = (state[t, 0] - state[j, 0]) ** 2 > reach  # true of most: a call costs more
-        if apart or not (senior and keep[j] and near(state, covariance, t, j, SAME_GATE, scratch)):
-            continue
-        explained = 2.0 - none[t] - none[j]
-        if row.rival != table[j].id:
-            row.rival, row.rival_pings = table[j].id, 0
-        if explained > UNRESOLVED:
-            row.rival_pings = max(0, row.rival_pings - 2)
-        elif explained > SEEN:
-            row.rival_pings += 1
-        past = min(max(row.hits - row.rival_pings, 0), LONG_KNOWN) if status[t] == CONFIRMED else 0
-        return j if row.rival_pings >= max_common + past else -1
-    row.rival_pings = max(0, row.rival_pings - 1)
-    return -1

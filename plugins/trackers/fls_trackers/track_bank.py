@@ -86,15 +86,16 @@ class TrackBank:
     def message(self, seq: int, stamp_ns: int, frame: Frame) -> Tracks:
         """The tracks as a message; it shares states and covariances, which no one writes again."""
         rows = self.ledger
+        # Arrays of a kernel have dtypes of their own: a message takes numpy's, which are these, sooner.
         return Tracks(
             seq,
             stamp_ns,
-            rows["id"].copy(),
+            rows["id"].astype(np.int64),
             rows["status"].astype(np.uint8),
-            self.state,
-            self.covariance,
-            rows["hits"].copy(),
-            rows["age"].copy(),
+            self.state.view(np.float64),
+            self.covariance.view(np.float64),
+            rows["hits"].astype(np.int64),
+            rows["age"].astype(np.int64),
             frame,
         )
 
