@@ -84,6 +84,7 @@ def calibrate(graph: str, recording: Path | None, as_json: bool, **options: Any)
     if as_json:
         click.echo(json.dumps({"out": str(out), **_document(found)}))
         return
+    click.echo(_headline(found))
     screen(stderr=False).print(_table(found))
     click.echo(f"wrote {out}" + (f" and {plot}" if plot is not None else ""), err=True)
 
@@ -164,17 +165,23 @@ def _document(found: Calibration) -> dict[str, Any]:
     }
 
 
-def _table(found: Calibration) -> Table:
-    from rich.table import Table
-
+def _headline(found: Calibration) -> str:
     scale = found.point.scale
     said = f"{scale[0]:.4g}" if not found.per_beam else f"{scale.min():.4g} to {scale.max():.4g}, per beam"
     how = ", from a fitted tail" if found.extrapolated else ""
-    table = Table(
-        title=f"{found.node} ({found.kind}), {found.pings} pings, second half: threshold_scale {said} "
-        f"(within {100.0 * math.expm1(2.0 * found.scale_sd):.2g} %){how}"
+    within = 100.0 * math.expm1(2.0 * found.scale_sd)
+    return (
+        f"{found.node} ({found.kind}): threshold_scale {said} (within {within:.2g} %){how}\n"
+        f"rates on the half of {found.pings} pings that the scale was not fitted to:"
     )
-    for name in ("", "wished", "measured", "95 % interval", "false alarms", "cells"):
+
+
+def _table(found: Calibration) -> Table:
+    from rich.table import Table
+
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column()
+    for name in ("wished", "measured", "95 % interval", "false alarms", "cells"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_row("as the graph is", "", *_cells(found.now))
     for name, one in (("scale 1", found.point.before), ("calibrated", found.point.after)):
@@ -183,4 +190,4 @@ def _table(found: Calibration) -> Table:
 
 
 def _cells(one: Measured) -> tuple[str, ...]:
-    return f"{one.rate:.3g}", f"{one.low:.2g} to {one.high:.2g}", f"{one.alarms:.0f}", str(one.cells)
+    return f"{one.rate:.3g}", f"{one.low:.2g} to {one.high:.2g}", f"{one.alarms:.0f}", f"{one.cells:,}"

@@ -38,10 +38,13 @@ __all__ = ["sweep"]
     "brackets is part of a value. Repeatable.",
 )
 @click.option(
-    "--metric", multiple=True, help="Score to show: gospa, ospa, ..., pings, detections. Repeatable."
+    "--metric",
+    multiple=True,
+    help="Score to show: gospa, ospa, pd, phd_ospa, ..., pings, detections. Repeatable.",
 )
 @click.option("--over", multiple=True, metavar="NODE.PARAM", help="Average over this too, as over seeds.")
 @click.option("--tracks", metavar="NODE", help="Whose tracks are scored, when there are several.")
+@click.option("--detections", metavar="NODE", help="Whose detections are scored, likewise.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the results [sweeps/GRAPH/DIGEST].")
 @click.option("--workers", type=click.IntRange(1, 1024), help="Processes here [all processors].")
 @click.option("--dask", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler instead.")
@@ -55,14 +58,20 @@ def sweep(graph: str, as_json: bool, **options: Any) -> int:
     \b
     Examples:
       fls-flow sweep surface_obstacle --set cfar.pfa=1e-5,1e-6,1e-7 --set sonar.seed=0:20 --metric gospa
-      fls-flow sweep graph.yaml --set "sonar.path=recordings/*.npz" --metric detections
+      fls-flow sweep surface_obstacle --set cfar.pfa=1e-4,1e-5 --metric pd --detections cfar
+      fls-flow sweep graph.yaml --set sonar.path=recordings/ --metric detections
     The same command goes on where a sweep was stopped.
     """
     from fls_flow.tools.records import Records
     from fls_flow.tools.sweep import prepare
 
     prepared = prepare(
-        graph, use=options["use"], set_=options["set_"], metrics=options["metric"], tracks=options["tracks"]
+        graph,
+        use=options["use"],
+        set_=options["set_"],
+        metrics=options["metric"],
+        tracks=options["tracks"],
+        detections=options["detections"],
     )
     for name in options["over"]:
         if name not in {axis.name for axis in prepared.grid.axes}:

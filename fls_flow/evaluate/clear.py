@@ -60,11 +60,15 @@ def switches(targets: Points, tracks: Points, follows: IntArray) -> IntArray:
 
 
 def run_starts(targets: Points, follows: IntArray) -> IntArray:
-    """(n_targets,) how often a target begins to be followed after it was not: fragments."""
-    before = _row_before(targets)
-    follow = follows >= 0
-    began = follow & ~((before >= 0) & follow[before])
-    return np.bincount(targets.owner[began], minlength=targets.name.size)
+    """(n_targets,) how often a target begins to be followed after it was there and was not: fragments.
+
+    While a target is out of sight nobody misses it: who follows it before and after goes on.
+    """
+    order = np.lexsort((targets.ping, targets.owner))
+    follow, owner = follows[order] >= 0, targets.owner[order]
+    began = follow.copy()
+    began[1:] &= ~(follow[:-1] & (np.diff(owner) == 0))
+    return np.bincount(owner[began], minlength=targets.name.size)
 
 
 def clear_scores(targets: Points, tracks: Points, follows: IntArray, pairs: Pairs) -> dict[str, float]:

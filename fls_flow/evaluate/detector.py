@@ -38,7 +38,8 @@ def detector_scores(truth: Table, detections: Table, gate_m: float) -> DetectorS
     """
     if truth.ping.size and truth.frame != "sensor":
         raise UserError(
-            f"{truth.path}: frame is '{truth.frame}', that of detections 'sensor'; convert the truth"
+            f"{truth.path}: frame is '{truth.frame}', that of detections 'sensor'; "
+            f"convert the truth, or name the files to score without {detections.path.name}"
         )
     pings = common_pings(truth, detections)
     targets, points = targets_of(truth, pings), detections_of(detections, pings)

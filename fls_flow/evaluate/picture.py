@@ -53,18 +53,19 @@ def draw(scores: Scores, path: Path) -> None:
 
 def _panels(scores: Scores) -> list[Callable[[Axes], None]]:
     panels: list[Callable[[Axes], None]] = []
+    cutoff_m = scores.settings.cutoff_m
     if scores.tracking is not None:
         one = scores.tracking
         panels += [
             lambda axes: _paths(axes, one),
-            lambda axes: _distances(axes, one, scores.settings.cutoff_m),
+            lambda axes: _distances(axes, one, cutoff_m),
             lambda axes: _position_errors(axes, one),
             lambda axes: _consistency(axes, one),
             lambda axes: _numbers(axes, one),
         ]
     if scores.intensity is not None:
         intensity = scores.intensity
-        panels += [lambda axes: _mass(axes, intensity)]
+        panels += [lambda axes: _mass(axes, intensity), lambda axes: _distances(axes, intensity, cutoff_m)]
     if scores.detector is not None:
         detector = scores.detector
         panels += [lambda axes: _detector_roc(axes, detector)]
@@ -99,13 +100,15 @@ def _paths(axes: Axes, one: TrackScores) -> None:
     _legend(axes)
 
 
-def _distances(axes: Axes, one: TrackScores, cutoff_m: float) -> None:
-    for number, (name, values) in enumerate(
-        {"GOSPA": one.sets.gospa, "OSPA": one.sets.ospa, "OSPA(2)": one.ospa2_m}.items()
-    ):
+def _distances(axes: Axes, one: TrackScores | IntensityScores, cutoff_m: float) -> None:
+    curves = {"GOSPA": one.sets.gospa, "OSPA": one.sets.ospa}
+    if isinstance(one, TrackScores):
+        curves["OSPA(2)"] = one.ospa2_m
+    for number, (name, values) in enumerate(curves.items()):
         axes.plot(means(one.pings.time_s), means(values), color=_colour(number), lw=1.1, label=name)
+    of_what = "sets" if isinstance(one, TrackScores) else "estimates"
     axes.set(
-        title=f"distance of the sets, cut-off {cutoff_m:g} m{_of(one)}",
+        title=f"distance of the {of_what}, cut-off {cutoff_m:g} m{_of(one)}",
         xlabel="time, s",
         ylabel="m",
         ylim=(0, None),
@@ -150,7 +153,7 @@ def _step(n: int) -> int:
     return -(-n // POINTS) or 1
 
 
-def _of(one: TrackScores) -> str:
+def _of(one: TrackScores | IntensityScores) -> str:
     """What a title adds when a point is not a ping."""
     step = _step(len(one.pings))
     return f", means of {step} pings" if step > 1 else ""

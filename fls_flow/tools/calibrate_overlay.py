@@ -66,7 +66,7 @@ def _comments(found: Calibration) -> list[str]:
     return [
         f"# {found.node} ({found.kind}) for a false-alarm rate of {point.pfa:g}, from {how} over "
         f"{found.pings} pings",
-        f"# without targets. On their second half, which the scale was not fitted to: {after},",
+        f"# without targets. On the half that the scale was not fitted to: {after},",
         f"# and {point.before.rate:.3g} with threshold_scale 1.",
     ]
 

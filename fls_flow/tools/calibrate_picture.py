@@ -47,7 +47,7 @@ def draw_panel(axes: Axes, title: str, found: Calibration) -> None:
     ends = [min(rates) / 2.0, min(max(rates) * 2.0, 1.0)]
     axes.plot(ends, ends, color=GREY, lw=1.0, ls="--", label="as wished")
     _curve(axes, points, [point.before for point in points], BEFORE, "o", "before: threshold_scale 1")
-    _curve(axes, points, [point.after for point in points], AFTER, "s", "after, on pings not fitted to")
+    _curve(axes, points, [point.after for point in points], AFTER, "s", "after, on what was not fitted to")
     axes.set(xscale="log", yscale="log", xlabel="wished false-alarm rate", ylabel="measured", title=title)
     axes.grid(alpha=0.25)
     axes.legend(loc="lower right", fontsize=8)

@@ -19,9 +19,10 @@ from fls_flow.errors import FlsFlowError, RunError
 from fls_flow.graph import Graph
 from fls_flow.graph.check import checked
 from fls_flow.graph.read import Source, override
+from fls_flow.messages import Detections, Tracks
 from fls_flow.runtime import Options, Report, Run, RunFolder, describe
 
-__all__ = ["RUN_FIGURES", "Row", "Task", "Watched", "graph_of", "installed", "run_cell"]
+__all__ = ["RUN_FIGURES", "Row", "Task", "Watched", "graph_of", "installed", "run_cell", "run_figures"]
 
 # what a run tells without truth
 RUN_FIGURES = ("pings", "detections", "confirmed_tracks")
@@ -159,16 +160,38 @@ def _tap(sink: Any) -> Any:
     return lambda index, message: sink(message)
 
 
+def run_figures(graph: Graph) -> tuple[str, ...]:
+    """Those of `RUN_FIGURES` that runs of the graph tell."""
+    given = {port.message for node in graph.nodes for port in node.kind.outputs}
+    told = (True, Detections in given, Tracks in given)
+    return tuple(name for name, one in zip(RUN_FIGURES, told, strict=True) if one)
+
+
 def _figures(graph: Graph, report: Report) -> dict[str, float]:
-    """The counts of the run, not its pace."""
-    figures = {name.replace(" ", "_"): float(value) for name, value in headline(graph, report).items()}
-    return {name: figures[name] for name in RUN_FIGURES if name in figures}
+    """The counts of the run, not its pace; detections that reach a tracker, or all if there is none."""
+    told = {name.replace(" ", "_"): float(value) for name, value in headline(graph, report).items()}
+    everything = {
+        "detections": sum(tally.entries for tally in _tallies(graph, report, Detections)),
+        "confirmed_tracks": sum(tally.confirmed for tally in _tallies(graph, report, Tracks)),
+    }
+    return {name: told.get(name, float(everything.get(name, 0))) for name in run_figures(graph)}
+
+
+def _tallies(graph: Graph, report: Report, message: type) -> list[Any]:
+    """What was counted at the outputs of that type."""
+    return [
+        report.counts[node.name].outputs[port.name]
+        for node in graph.nodes
+        for port in node.kind.outputs
+        if port.message is message and port.name in report.counts[node.name].outputs
+    ]
 
 
 def _scored(files: Mapping[str, Path]) -> dict[str, float | None]:
-    if not {"track-csv", "truth-csv"} <= set(files):
+    if "truth-csv" not in files:
         return {}
     from fls_flow.evaluate import score
 
-    overall = score(files["track-csv"], files["truth-csv"]).overall
-    return {name: float(value) if math.isfinite(value) else None for name, value in overall.items()}
+    tracks, detections, estimates = map(files.get, ("track-csv", "detection-csv", "estimate-csv"))
+    found = score(tracks, files["truth-csv"], detections=detections, estimates=estimates).overall
+    return {name: float(value) if math.isfinite(value) else None for name, value in found.items()}

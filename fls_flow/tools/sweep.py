@@ -7,17 +7,34 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fls_flow.errors import GraphError, Problem, UserError
 from fls_flow.graph import Graph, find
 from fls_flow.graph.read import Source, override, read
-from fls_flow.messages import Tracks, Truth
+from fls_flow.messages import Detections, Intensity, Message, Tracks, Truth
 from fls_flow.runtime import describe
-from fls_flow.tools.cell import RUN_FIGURES, Row, Task, Watched, graph_of, installed
+from fls_flow.tools.cell import RUN_FIGURES, Row, Task, Watched, graph_of, installed, run_figures
 from fls_flow.tools.grid import Axis, Grid, axes_of
 
 __all__ = ["Sweep", "prepare"]
+
+DETECTOR_METRICS = ("pd", "false_alarms_per_ping", "detections_per_ping")
+PHD_METRICS = "phd_"  # with which their names begin
+
+
+class _Scored(NamedTuple):
+    """What is scored, or against what."""
+
+    message: type[Message]
+    kind: str  # of the sink that writes it
+    word: str  # the option that names one of several, if there is one
+
+
+TRACKS = _Scored(Tracks, "track-csv", "tracks")
+DETECTIONS = _Scored(Detections, "detection-csv", "detections")
+INTENSITY = _Scored(Intensity, "estimate-csv", "intensity")
+TRUTH = _Scored(Truth, "truth-csv", "truth")
 
 
 @dataclass(frozen=True)
@@ -78,20 +95,21 @@ def prepare(
     set_: Iterable[str] = (),
     metrics: Iterable[str] = (),
     tracks: str | None = None,
+    detections: str | None = None,
 ) -> Sweep:
     """The sweep of the graph called `name`; every value of every axis has been checked.
 
-    `tracks` names the sink or the node whose tracks are scored, if there are several. Raises UserError with
-    every mistake: in the graph, in a value, in what cannot be scored.
+    `tracks` and `detections` name the sink or the node whose tracks or detections are scored, if there are
+    several. Raises UserError with every mistake: in the graph, in a value, in what cannot be scored.
     """
     set_, use = tuple(set_), tuple(use)
     source = read(find(name))
     override(source, use, ())
     grid = axes_of(set_, _reads_files(source))
     graph = _every_value(source, grid)
-    watched = _watched(graph, tracks)
-    wanted = tuple(metrics) or (("gospa",) if len(watched) > 1 else RUN_FIGURES[-2:])
-    _scorable(graph, watched, wanted)
+    wanted = tuple(metrics)
+    watched = _watched(graph, wanted, tracks, detections)
+    wanted = wanted or (("gospa",) if watched else run_figures(graph)[1:] or run_figures(graph))
     described = describe(graph)
     about = {
         "graph": graph.name,
@@ -135,49 +153,61 @@ def _every_value(source: Source, grid: Grid) -> Graph:
     return first
 
 
-def _watched(graph: Graph, tracks: str | None) -> tuple[Watched, ...]:
-    """What has to be written for the scores; nothing in a graph without tracks or without truth."""
-    truth = _giver(graph, Truth, "truth-csv", None)
-    tracked = _giver(graph, Tracks, "track-csv", tracks)
-    return (tracked, truth) if tracked is not None and truth is not None else ()
+def _watched(
+    graph: Graph, metrics: tuple[str, ...], tracks: str | None, detections: str | None
+) -> tuple[Watched, ...]:
+    """What has to be written for the metrics, the truth at the end; without truth, nothing.
+
+    Raises UserError for a metric of what the graph does not give.
+    """
+    named = {what: name for what, name in ((TRACKS, tracks), (DETECTIONS, detections)) if name is not None}
+    needed = {_scored_of(metric): metric for metric in reversed(metrics) if metric not in RUN_FIGURES}
+    truth = _giver(graph, TRUTH, None)
+    found = []
+    for what in dict.fromkeys([*needed, *named]) or [TRACKS]:
+        one = _giver(graph, what, named.get(what))
+        if what in needed and (one is None or truth is None):
+            raise UserError(
+                f"--metric {needed[what]}: graph '{graph.name}' has no {what.word} and truth to score; "
+                f"without them there are {', '.join(RUN_FIGURES)}"
+            )
+        found += [one] if one is not None else []
+    return (*found, truth) if found and truth is not None else ()
 
 
-def _giver(graph: Graph, message: type, kind: str, chosen: str | None) -> Watched | None:
+def _scored_of(metric: str) -> _Scored:
+    if metric.startswith(PHD_METRICS):
+        return INTENSITY
+    return DETECTIONS if metric in DETECTOR_METRICS else TRACKS
+
+
+def _giver(graph: Graph, what: _Scored, chosen: str | None) -> Watched | None:
     """The output that the graph's sink of that kind takes; without one, the only output of that type."""
     sinks = [
-        Watched(wire.node, wire.output, kind, node.name)
+        Watched(wire.node, wire.output, what.kind, node.name)
         for node in graph.nodes
-        if node.kind.name == kind
+        if node.kind.name == what.kind
         for wire in node.inputs[:1]
     ]
     outputs = [
-        Watched(node.name, port.name, kind)
+        Watched(node.name, port.name, what.kind)
         for node in graph.nodes
         for port in node.kind.outputs
-        if port.message is message
+        if port.message is what.message
     ]
     if chosen is not None:
         found = [one for one in sinks if one.sink == chosen] or [one for one in outputs if one.node == chosen]
         if not found:
-            raise UserError(f"--tracks {chosen}: no node of that name gives or writes tracks")
+            raise UserError(f"--{what.word} {chosen}: no node of that name gives or writes {what.word}")
         return found[0]
     for candidates in (sinks, outputs):
         if len(candidates) == 1:
             return candidates[0]
         if candidates:
             names = ", ".join(one.sink or one.node for one in candidates)
-            mend = "name one with --tracks" if message is Tracks else "leave one of them"
-            raise UserError(f"graph '{graph.name}' has several {message.__name__}: {names}; {mend}")
+            mend = f"name one with --{what.word}" if what in (TRACKS, DETECTIONS) else "leave one of them"
+            raise UserError(f"graph '{graph.name}' has several {what.message.__name__}: {names}; {mend}")
     return None
-
-
-def _scorable(graph: Graph, watched: tuple[Watched, ...], metrics: tuple[str, ...]) -> None:
-    scores = [name for name in metrics if name not in RUN_FIGURES]
-    if scores and not watched:
-        raise UserError(
-            f"--metric {scores[0]}: graph '{graph.name}' has no tracks and truth to score; "
-            f"without them there are {', '.join(RUN_FIGURES)}"
-        )
 
 
 def _unused(folder: Path) -> Path:

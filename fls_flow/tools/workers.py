@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import multiprocessing
+import shutil
 import signal
 import tempfile
 from collections import deque
@@ -111,6 +112,7 @@ def _rows(
 def _work(pipe: Connection, scratch: str) -> None:
     """Answer tasks until the pipe closes; what they write for a while lies in `scratch`."""
     tempfile.tempdir = scratch  # a worker that is killed removes nothing
+    sweep = multiprocessing.parent_process()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.getLogger().addHandler(logging.NullHandler())  # what goes wrong is in the row
     with limited_threads():
@@ -119,6 +121,8 @@ def _work(pipe: Connection, scratch: str) -> None:
             try:
                 pipe.send(run_cell(pipe.recv()))
             except (EOFError, OSError):
+                if sweep is None or not sweep.is_alive():  # nobody else will
+                    shutil.rmtree(scratch, ignore_errors=True)
                 return
 
 

@@ -61,6 +61,14 @@ def test_with_two_classes_the_label_of_the_other_gives_the_probability_too(point
     assert (roc.hit_rate[roc.at_bayes], roc.false_alarm_rate[roc.at_bayes]) == (0.5, 0.5)
 
 
+def test_with_three_classes_the_label_of_another_says_nothing_of_the_positive_one(points):
+    x, y, follows = rows_of(points, ["a", "a", "b", "c"], ["a", "b", "c", "a"], [0.9, 0.6, 0.7, 0.8])
+    roc = classifier_scores(x, y, follows, **COSTS).roc  # P(a) = 0.9, unknown, unknown, 0.8
+    assert roc.threshold.tolist() == [math.inf, 0.9, 0.8, 0.0]
+    assert roc.hit_rate.tolist() == [0, 0.5, 0.5, 1]
+    assert roc.false_alarm_rate.tolist() == [0, 0, 0.5, 1]
+
+
 def test_costs_move_the_threshold():
     """A miss that costs nine false alarms asks for P > 0.1."""
     value = np.array([0.95, 0.6, 0.3, 0.2, 0.05])

@@ -50,6 +50,16 @@ def test_after_a_gap_the_closest_follows_and_a_switch_counts(points):
     assert (scores["id_switches"], scores["fragmentations"]) == (1, 1)
 
 
+def test_a_target_out_of_sight_breaks_no_track(points):
+    """Seen in pings 0, 1, 4, 5, 6, 7 and followed in all but ping 5: one interruption."""
+    seen = (0, 1, 4, 5, 6, 7)
+    x = points(*((t, 0, 0.0, 0.0) for t in seen), *((t, 1, 50.0, 0.0) for t in range(8)))
+    y = points(*((t, 0, 1.0, 0.0) for t in seen if t != 5), *((t, 1, 50.0, 0.0) for t in range(8)))
+    follows, pairs = follow(x, y)
+    assert run_starts(x, follows).tolist() == [2, 1]
+    assert clear_scores(x, y, follows, pairs)["fragmentations"] == 1
+
+
 def test_the_gate_itself_is_inside(points):
     x, y = points((0, 0, 0, 0)), points((0, 0, 5.0, 0))
     assert follow(x, y, 5.0)[0].tolist() == [0]

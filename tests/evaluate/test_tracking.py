@@ -44,6 +44,15 @@ def test_continuity_is_tracked_time_over_life_time(points):
     assert scores[0]["id_switches"] == 1
 
 
+def test_time_to_confirm_counts_from_the_targets_own_beginning(points):
+    """Target 1 appears at 2 s and is followed from 6 s on; before, a track waits where it will come."""
+    x = points((0, 0, 50.0, 0.0), *((t, 1, 0.0, 0.0) for t in (2, 3, 4)))
+    y = points((0, 0, 0.0, 0.0), (1, 0, 0.0, 0.0), (3, 1, 0.5, 0.0), (4, 1, 0.5, 0.0))
+    scores, *_ = scored(pings_at(0, 1, 2, 6, 7), x, y)
+    assert scores[1]["time_to_confirm_s"] == pytest.approx(4.0)
+    assert math.isnan(scores[0]["time_to_confirm_s"])
+
+
 def test_means_leave_out_who_was_never_followed_where_there_is_nothing_to_mean(points):
     x = points((0, 0, 0.0, 0.0), (1, 0, 0.0, 0.0), (0, 1, 50.0, 0.0), (1, 1, 50.0, 0.0))
     scores, *_ = scored(pings_at(0, 1), x, points((1, 0, 0.0, 0.0)))
@@ -122,6 +131,15 @@ def test_tracks_are_told_apart_by_most_of_their_pings(points):
     _, follows, _, pairs = scored(pings_at(*range(6)), x, y)
     counts = track_counts(x, y, follows, pairs, 5.0)
     assert counts == {"confirmed_tracks": 4, "redundant_tracks": 1, "false_tracks": 2}
+
+
+def test_a_track_that_does_two_things_equally_often_counts_as_the_better(points):
+    """Track 0 follows once and is false once; track 1 is redundant once and false once."""
+    x = points((0, 0, 0.0, 0.0), (1, 0, 0.0, 0.0))
+    y = points((0, 0, 1.0, 0.0), (1, 0, 40.0, 0.0), (0, 1, 2.0, 0.0), (1, 1, 60.0, 0.0))
+    _, follows, _, pairs = scored(pings_at(0, 1), x, y)
+    counts = track_counts(x, y, follows, pairs, 5.0)
+    assert counts == {"confirmed_tracks": 2, "redundant_tracks": 1, "false_tracks": 0}
 
 
 def test_one_ping_stands_for_itself(points):

@@ -42,7 +42,8 @@ class Seen:
                 continue
             tracks = self.confirmed(ping)
             place = truth.state[truth.target_id == target][0, :2]
-            place = self.poses[ping].to_ned(place) if tracks.frame == "ned" else place
+            if tracks.frame != truth.frame:
+                place = self.poses[ping].to_ned(place)
             apart = np.hypot(*(tracks.state[:, :2] - place).T)
             near = len(tracks) > 0 and apart.min() < gate_m
             found.append(int(tracks.id[apart.argmin()]) if near else None)

@@ -127,6 +127,7 @@ def test_images_do_not_share_memory():
         ({"sequence": "bathtub"}, "sequence is 'bathtub'; it must be one of"),
         ({"clutter": "weibull"}, "clutter is 'weibull'"),
         ({"dtype": "int8"}, "dtype is 'int8'"),
+        ({"truth_frame": "earth"}, "truth_frame is 'earth'; it must be one of"),
         ({"pings": 0}, "pings is 0; it must be 1 or more"),
         ({"n_ranges": -3}, "n_ranges is -3"),
         ({"n_beams": 0}, "n_beams is 0"),
@@ -191,6 +192,23 @@ def test_nav_is_exact_still_things_stay_where_they_are_in_the_world():
         for ping, truth in SurfaceScene(pings=12, yaw_deg=5.0, speed_mps=0.8)()
     ]
     assert_allclose(seen, np.broadcast_to(seen[0], (12, 2)), atol=1e-9)
+
+
+@pytest.mark.parametrize("sequence", ["buoys-and-blocks", "inflatable-and-buoy"])
+def test_truth_in_the_world_is_that_of_the_sensor_placed_by_its_pose(sequence):
+    given = {"sequence": sequence, "pings": 40, "yaw_deg": 6.0, "speed_mps": 0.7}
+    places = []
+    for (ping, here), (_, there) in zip(
+        SurfaceScene(**given)(), SurfaceScene(truth_frame="ned", **given)(), strict=True
+    ):
+        assert (here.frame, there.frame) == ("sensor", "ned")
+        assert here.target_id.tolist() == there.target_id.tolist()
+        assert here.class_name == there.class_name
+        pose = sensor_pose(ping.nav, ping.mount)
+        assert_allclose(pose.to_ned(here.state[:, :2]), there.state[:, :2], atol=1e-9)
+        places.append((ping.stamp_ns * 1e-9, place_of(there, BUOY), there.state[there.target_id == BUOY, 2:]))
+    (t0, first, _), (t1, last, velocity) = places[0], places[-1]
+    assert_allclose((last - first) / (t1 - t0), velocity[0], atol=0.02)  # over ground: it lies still
 
 
 def test_nav_velocity_is_in_the_body_frame_and_nav_can_be_left_out():

@@ -96,6 +96,48 @@ def test_in_the_clutter_that_a_detector_is_made_for_the_scale_is_one(harbour):
     assert scaled.threshold_scale == found.threshold_scale
 
 
+def test_the_rate_is_that_of_pings_that_the_scale_has_not_seen(harbour):
+    """A tail that grows heavier half way: the scale is right for the first half, and the rate tells."""
+    halves = []
+    for seed, shape in ((5, 2.0), (6, 1.2)):
+        write_clutter("half.npz", seed, 20, shape=shape)
+        halves.append(dict(np.load("half.npz")))
+    for order, calmer in (((0, 1), True), ((1, 0), False)):
+        image = np.concatenate([halves[n]["image"] for n in order])
+        np.savez("changing.npz", **(halves[0] | {"image": image}))
+        found = calibrate(graphs.load("harbour.yaml", set_=["sonar.path=changing.npz"]), pfa=1e-3)
+        assert (found.threshold_scale < 1.1) == calmer
+        assert (found.point.after.rate > 4e-3) == calmer
+        assert (found.point.after.rate < 0.3e-3) == (not calmer)
+
+
+def test_pings_before_the_stretch_do_not_count(harbour):
+    write_clutter("late.npz", 8)
+    late = dict(np.load("late.npz"))
+    loud = late["image"][:10].copy()
+    loud[:, 50:54] = 3000.0
+    np.savez("whole.npz", **(late | {"image": np.concatenate([loud, late["image"]])}))
+    whole, alone = (
+        graphs.load("harbour.yaml", set_=[f"sonar.path={name}.npz"]) for name in ("whole", "late")
+    )
+    found, expected = (
+        calibrate(whole, pfa=1e-3, stretch=Stretch(pings=(10, None))),
+        calibrate(alone, pfa=1e-3),
+    )
+    assert found.threshold_scale == expected.threshold_scale
+    assert found.point.after == expected.point.after
+
+
+def test_cells_without_data_stay_without_in_a_stretch():
+    valid = np.ones((4, 3), bool)
+    valid[2, 1] = False
+    ping = Ping(0, 1, np.ones((4, 3), np.float32), np.arange(1.0, 5.0), np.array([-0.1, 0.0, 0.1]), valid)
+    cleared = Stretch(range_m=(0.0, 3.5)).cleared(ping)
+    valid[3] = False
+    assert cleared.valid.tolist() == valid.tolist()
+    assert Stretch().cleared(ping) is ping
+
+
 def test_beams_that_differ_are_told_apart(harbour):
     """Every other beam has a heavier tail."""
     rng = np.random.default_rng(4)
@@ -188,6 +230,18 @@ def test_a_plot_and_a_table_for_people(harbour):
     text = (harbour / "calibrated.yaml").read_text()
     assert "# cfar (rayleigh-cfar) for a false-alarm rate of 0.01" in text
     assert "base: 'harbour.yaml'" in text
+
+
+def test_the_table_fits_a_narrow_terminal(harbour):
+    words = ["calibrate", "harbour.yaml", "--pfa", "1e-3", "--per-beam", "--no-progress"]
+    done = CliRunner().invoke(cli, words, env={"COLUMNS": "80"})
+    rows = [line.split() for line in done.stdout.splitlines()]
+    assert all(len(line) <= 80 for line in done.stdout.splitlines())
+    (row,) = (row for row in rows if row[0] == "calibrated")
+    _, wished, measured, low, _, high, alarms, cells = row
+    assert float(wished) == 1e-3
+    assert float(low) < float(measured) < float(high)
+    assert float(measured) == pytest.approx(int(alarms) / int(cells.replace(",", "")), rel=0.02)
 
 
 def test_the_overlay_holds_what_it_was_found_with_but_not_the_recording(harbour):

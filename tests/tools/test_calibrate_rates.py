@@ -44,6 +44,12 @@ def test_ratios_at_one_are_no_alarms_and_undecided_ones_are_no_cells():
     assert exceeded(tally.counts[0], 1.0)[0] == 2
 
 
+def test_each_ratio_counts_in_its_own_beam():
+    tally = tally_of(np.array([[[np.nan, 2.0], [3.0, np.nan], [0.5, np.nan]]]))
+    assert_array_equal(tally.counts[0].sum(axis=1), [2, 1])
+    assert_array_equal(exceeded(tally.counts[0], 1.0), [1, 1])
+
+
 @pytest.mark.parametrize("pfa", [0.3, 1e-2, 1e-3])
 def test_the_quantile_is_that_of_the_ratios(pfa):
     ratio = np.random.default_rng(2).lognormal(0.0, 1.0, (1, 50_000, 1))
@@ -70,6 +76,16 @@ def test_beams_of_different_gain_and_tail_get_scales_that_give_each_the_rate():
         one = beam_scales(counts, pfa, per_beam=False)
         assert_allclose(exceeded(counts, one).sum(), pfa * counts.sum(), rtol=0.02)
         assert exceeded(counts, one)[-1] > 5.0 * pfa * 400_000
+
+
+def test_beams_with_too_few_cells_for_a_rate_meet_it_together():
+    """20,000 cells of a beam hold two alarms at 1e-4: beams give the shares, all of them the rate."""
+    gain = np.linspace(0.5, 3.0, 32)
+    ratio = gain * np.random.default_rng(7).rayleigh(1.0, (1, 20_000, 32))
+    counts = tally_of(ratio).counts[0]
+    scale = beam_scales(counts, 1e-4, per_beam=True)
+    assert_allclose(exceeded(counts, scale).sum(), 1e-4 * counts.sum(), rtol=0.02)
+    assert_allclose(scale / gain, np.sqrt(-2.0 * np.log(1e-4)), rtol=0.15)
 
 
 def test_a_beam_without_cells_does_not_stop_the_others():

@@ -9,9 +9,12 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from fls_flow.evaluate import score
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
@@ -114,6 +117,13 @@ def test_the_numbers_do_not_depend_on_who_computes_them(sweep, toys):
     assert len({row["detections"] for row in rows(toys / "s1")}) > 1
 
 
+def test_tracks_in_the_world_are_scored(sweep, toys):
+    done = sweep("surface_obstacle_200m", "--set", "sonar.pings=8", "--out", "s", "--workers", "1")
+    assert done.returncode == 0, done.stderr
+    (row,) = rows(toys / "s")
+    assert 0.0 < float(row["gospa"]) < 60.0
+
+
 def test_sinks_of_the_graph_and_taps_give_the_same_scores(sweep, toys):
     for name, keep in (("toy", ()), ("toy_sinks", ()), ("toy_sinks", ("--keep",))):
         out = f"{name}{len(keep)}"
@@ -125,6 +135,49 @@ def test_sinks_of_the_graph_and_taps_give_the_same_scores(sweep, toys):
     assert {path.name for path in kept.iterdir()} == {"tracks.csv", "truths.csv", "count.txt", "run.json"}
     record = json.loads((kept / "run.json").read_text())
     assert (record["status"], record["nodes"]["tracker"]["with"]["bias_m"]) == ("finished", 1.0)
+
+
+def test_detectors_are_scored_over_their_threshold(sweep, toys):
+    axes = ("--set", "cfar.pfa=1e-3,1e-5", "--set", "sonar.pings=8", "--workers", "1")
+    metrics = ("--metric", "pd", "--metric", "false_alarms_per_ping")
+    done = sweep("surface_obstacle", *axes, *metrics, "--out", "s")
+    assert done.returncode == 2
+    assert "several Detections: noise, cfar, wakes; name one with --detections" in done.stderr
+    done = sweep("surface_obstacle", *axes, *metrics, "--detections", "cfar", "--out", "s", "--keep")
+    assert done.returncode == 0, done.stderr
+    loud, quiet = rows(toys / "s")
+    assert float(loud["pd"]) >= float(quiet["pd"]) > 0.5
+    assert float(loud["false_alarms_per_ping"]) > 5.0 * float(quiet["false_alarms_per_ping"])
+    assert "gospa" not in loud
+    alone = score(None, toys / "s/cells/0/truths.csv", detections=toys / "s/cells/0/detections.csv").overall
+    assert {name: float(loud[name]) for name in alone} == alone
+
+
+def test_a_detector_alone_tells_how_much_it_detects(sweep, toys):
+    nodes = (
+        "sonar: {use: surface-scene, with: {pings: 3}}, cfar: {use: rayleigh-cfar, in: {ping: sonar.ping}}"
+    )
+    (toys / "bare.yaml").write_text(
+        f"graph: bare\nnodes: {{{nodes}, out: {{use: detection-csv, in: {{detections: cfar}}}}}}\n"
+    )
+    done = sweep("bare.yaml", "--set", "cfar.pfa=1e-2,1e-4", "--workers", "1", "--out", "s", "--keep")
+    assert done.returncode == 0, done.stderr
+    for cell, row in enumerate(rows(toys / "s")):
+        (file,) = (toys / "s" / "cells" / str(cell)).glob("detections.csv")
+        assert float(row["detections"]) == len(file.read_text().splitlines()) - 1 > 0
+    assert "confirmed_tracks" not in row
+    assert sweep("archive.yaml", "--workers", "1", "--out", "t").returncode == 0
+    assert [row["pings"] for row in rows(toys / "t")] == ["1.0"]
+
+
+def test_the_estimates_of_phd_filters_are_scored(sweep, toys):
+    words = ("phd", "--set", "sonar.seed=5,6", "--metric", "phd_cardinality_rmse", "--metric", "ospa")
+    done = sweep(*words, "--set", "sonar.pings=15", "--out", "s", "--workers", "1")
+    assert done.returncode == 0, done.stderr
+    for row in rows(toys / "s"):
+        assert 0.0 < float(row["phd_cardinality_rmse"]) < 4.0
+        assert 0.0 < float(row["phd_ospa"]) <= 10.0
+        assert 0.0 < float(row["ospa"]) <= 10.0
 
 
 def test_a_folder_of_recordings_is_run(sweep, toys):
@@ -142,7 +195,7 @@ def test_a_folder_of_recordings_is_run(sweep, toys):
     assert "holds no number" in done.stderr
     (toys / "rec" / "b.txt").write_text("4")  # mended: only it is tried again
     before = lines(toys / "s")
-    done = sweep("archive.yaml", "--set", "sonar.path=rec/*.txt", "--metric", "pings", "--out", "s")
+    done = sweep("archive.yaml", "--set", "sonar.path=rec/", "--metric", "pings", "--out", "s")
     assert done.returncode == 0, done.stderr
     assert [line["index"] for line in lines(toys / "s")[len(before) :]] == [1]
 
@@ -153,6 +206,9 @@ def test_mistakes_are_told_before_anything_starts(sweep, toys):
         ("toy.yaml", "--set", "sonar.pings=1,x"): "--set sonar.pings=x",
         ("toy.yaml", "--over", "sonar.seed"): "is no axis",
         ("archive.yaml", "--metric", "gospa"): "no tracks and truth",
+        ("toy.yaml", "--metric", "pd"): "--metric pd: graph 'toy' has no detections and truth",
+        ("toy.yaml", "--metric", "phd_ospa"): "no intensity and truth",
+        ("toy.yaml", "--detections", "tracker"): "--detections tracker: no node of that name",
         ("toy.yaml", "--tracks", "sonar"): "--tracks sonar",
     }
     for words, said in cases.items():
@@ -170,11 +226,10 @@ def test_mistakes_are_told_before_anything_starts(sweep, toys):
     ]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_keeps_what_is_done_and_leaves_no_process(toys, environment, number):
-    words = ["sweep", "toy.yaml", "--set", "tracker.fate=live,hang", "--out", "s", "--workers", "2"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "fls_flow.cli", *words],
+def started(toys: Path, environment: dict[str, str], *words: str) -> subprocess.Popen[str]:
+    """A sweep in a process group of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "fls_flow.cli", "sweep", *words],
         cwd=toys,
         env=environment,
         stdout=subprocess.PIPE,
@@ -183,10 +238,37 @@ def test_a_signal_keeps_what_is_done_and_leaves_no_process(toys, environment, nu
         start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a script's `&` ignores it
     )
-    deadline = time.monotonic() + 60.0
-    while not ((toys / "hanging").exists() and (toys / "s" / "cells.jsonl").read_text()):
+
+
+def until(condition: Callable[[], bool], within_s: float = 60.0) -> None:
+    deadline = time.monotonic() + within_s
+    while not condition():
         assert time.monotonic() < deadline
-        time.sleep(0.05)
+        time.sleep(0.02)
+
+
+def test_a_sweep_that_is_killed_goes_on_and_leaves_nothing_behind(toys, environment, sweep):
+    words = ("toy.yaml", "--set", "sonar.seed=0:300", "--out", "s", "--workers", "2")
+    process = started(toys, environment, *words)
+    path = toys / "s" / "cells.jsonl"
+    until(lambda: path.exists() and path.read_bytes().count(b"\n") > 3)
+    process.kill()
+    process.communicate()
+    before = path.read_text()
+    assert 3 < before.count("\n") < 300
+    until(lambda: not alive(process.pid))
+    assert not list((toys.parent / "tmp").iterdir())
+    done = sweep(*words)
+    assert done.returncode == 0, done.stderr
+    assert path.read_text().startswith(before[: before.rfind("\n") + 1])
+    assert sorted(line["index"] for line in lines(toys / "s")) == list(range(300))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_keeps_what_is_done_and_leaves_no_process(toys, environment, number):
+    words = ("toy.yaml", "--set", "tracker.fate=live,hang", "--out", "s", "--workers", "2")
+    process = started(toys, environment, *words)
+    until(lambda: (toys / "hanging").exists() and bool((toys / "s" / "cells.jsonl").read_text()))
     os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
     _, said = process.communicate(timeout=30)
     assert process.returncode == 130
@@ -194,6 +276,4 @@ def test_a_signal_keeps_what_is_done_and_leaves_no_process(toys, environment, nu
     assert "Traceback" not in said
     assert [line["index"] for line in lines(toys / "s")] == [0]
     assert not list((toys.parent / "tmp").iterdir())
-    while alive(process.pid):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until(lambda: not alive(process.pid))

@@ -80,6 +80,10 @@ class Stage:
         """Apparent states (n_things, 4) in the sensor frame."""
         return apparent(self.own, time_s, *self._motion(time_s))
 
+    def ned_states(self, time_s: float) -> FloatArray:
+        """States (n_things, 4) in the world, over ground."""
+        return np.concatenate(self._motion(time_s), axis=1)
+
     def image(self, time_s: float, rng: np.random.Generator) -> AmplitudeArray:
         """The amplitudes (n_ranges, n_beams) of one ping."""
         intensity = speckle(self.water, self._extra_power(time_s), rng)

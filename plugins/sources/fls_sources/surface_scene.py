@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_flow import NavState, Ping, Truth, hookimpl
+from fls_flow.messages import Frame
 from fls_sources.scene_clutter import Law, NumberFormat, background
 from fls_sources.scene_image import Sonar, Stage
 from fls_sources.scene_motion import OwnShip, even_stamps, uneven_stamps
@@ -21,6 +22,7 @@ from fls_sources.scene_wake import bubbles
 __all__ = ["PingAndTruth", "SurfaceScene"]
 
 SCENE_STREAM, PING_STREAM, CLOCK_STREAM = 0, 1, 2  # what the seed's random streams are for
+_CHOICES = {"sequence": SequenceName, "clutter": Law, "dtype": NumberFormat, "truth_frame": Frame}
 
 
 class PingAndTruth(NamedTuple):
@@ -43,11 +45,11 @@ class SurfaceScene:
     plane), refraction, multipath, shadows, waves, roll and pitch, motion during a ping, Doppler, speckle
     that is correlated between cells, beams or pings, and the sonar's own ringing at the first metres.
 
-    Signal-to-noise ratios hold against the local clutter, at every range. `Truth` is in the sensor frame of
-    the moving, yawing sonar: its velocities are apparent, the derivative of the position in that frame. It
-    holds what lies inside the sector at the ping; a boat's position is where its wake ends. Ping `k`
-    depends on the parameters and `k` alone, the number of pings only in `random`. None means: what the
-    sequence says.
+    Signal-to-noise ratios hold against the local clutter, at every range. `Truth` is in `truth_frame`: that
+    of the moving, yawing sensor, where velocities are apparent, the derivative of the position; or `ned`,
+    beside tracks in the world. It holds what lies inside the sector at the ping; a boat's position is where
+    its wake ends. Ping `k` depends on the parameters and `k` alone, the number of pings only in `random`.
+    None means: what the sequence says.
 
     Source of the sequences: Karoui, Quidu & Legris 2015, Sec. II and V. Raises ValueError for bad parameters.
     """
@@ -73,6 +75,7 @@ class SurfaceScene:
     yaw_deg: float | None = None  # amplitude
     yaw_period_s: float | None = None
     nav: bool = True  # whether pings carry the own ship's state
+    truth_frame: Frame = "sensor"
     n_objects: int = 4  # of `random`
     n_boats: int = 1  # of `random`
     seed: int = 0
@@ -91,9 +94,10 @@ class SurfaceScene:
         for name in ("pings", "n_ranges", "n_beams"):
             self._require(name, getattr(self, name) is None or getattr(self, name) >= 1, "1 or more")
         self._require("side_lobe_db", self.side_lobe_db < 0.0, "negative")
-        for name, known in (("sequence", SequenceName), ("clutter", Law), ("dtype", NumberFormat)):
-            value = getattr(self, name)
-            self._require(name, value is None or value in get_args(known), f"one of {get_args(known)}")
+        for name, known in _CHOICES.items():
+            value, open_ = getattr(self, name), name == "dtype"
+            known_value = value in get_args(known) or (open_ and value is None)
+            self._require(name, known_value, f"one of {get_args(known)}")
         sector_deg = self.n_beams * self.beam_spacing_deg
         if sector_deg > 180.0:
             raise ValueError(
@@ -120,7 +124,7 @@ class SurfaceScene:
                 frequency_hz=self.frequency_hz,
                 nav=_nav(seq, stamp_ns, stage.own, time_s) if self.nav else None,
             )
-            yield PingAndTruth(ping, _truth(seq, stamp_ns, stage, time_s))
+            yield PingAndTruth(ping, _truth(seq, stamp_ns, stage, time_s, self.truth_frame))
 
     def _stage(self) -> Stage:
         plan, rng = scenario(self.sequence), self._rng(SCENE_STREAM)
@@ -200,12 +204,14 @@ def _nav(seq: int, stamp_ns: int, own: OwnShip, time_s: float) -> NavState:
     )
 
 
-def _truth(seq: int, stamp_ns: int, stage: Stage, time_s: float) -> Truth:
+def _truth(seq: int, stamp_ns: int, stage: Stage, time_s: float, frame: Frame) -> Truth:
     state = stage.states(time_s)
     seen = np.flatnonzero(stage.sonar.sees(state[:, :2]))
+    if frame == "ned":
+        state = stage.ned_states(time_s)
     things = [stage.things[i] for i in seen]
     ids = np.array([thing.target_id for thing in things], np.int64)
-    return Truth(seq, stamp_ns, ids, state[seen], tuple(thing.class_name for thing in things))
+    return Truth(seq, stamp_ns, ids, state[seen], tuple(thing.class_name for thing in things), frame)
 
 
 @hookimpl
