@@ -2,6 +2,7 @@
 
     python -m benchmarks.diver                    # all; some ten minutes of one core
     python -m benchmarks.diver --only held-out --picture docs/divers.png
+    python -m benchmarks.diver --only held-out --test 3101 3116      # judged on other seeds
 
 Scenes come from `graphs/diver_training.yaml`: another seed is another background with other swimmers.
 Features come from the tracks that the chain made, not from the truth; the truth only names them. What the
@@ -10,6 +11,8 @@ Intervals are Clopper & Pearson's at 95 %, as if vectors were independent; those
 targets, each by its most frequent label, are counted too. "As the graph decides" are the labels that the
 classifier of `graphs/diver_classification.yaml`, with its parameters and the model just trained, gives to
 tracks in the pings that describe them, one after the other: the evidence of a track's earlier blocks counts.
+"Withheld" are blocks without a label, though their track was described often enough: its descriptions do not
+agree. Such a track may be anything, a diver too.
 """
 
 from __future__ import annotations
@@ -19,10 +22,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
+from typing import Any, Literal
 
-import numpy as np
-
+from benchmarks.diver_figure import both, draw
 from benchmarks.diver_labels import GATE_M, decided, labelling
 from fls_flow.discriminants import decide, linear, posterior
 from fls_flow.model_files import Model, save
@@ -35,10 +37,17 @@ from fls_flow.tools.train_tables import find_runs
 GRAPH = "diver_training"
 MISS_COST = 100.0
 TRAIN, TEST = range(1, 37), range(3001, 3017)
+FAINT = {14.0: range(49, 61), 11.0: range(61, 73)}  # SNR, dB, of more scenes to train on
 FEW_TRAIN, FEW_TEST = range(1, 9), range(3001, 3005)
 SNRS_DB = (20.0, 14.0, 11.0, 8.0, 5.0, 2.0)
 GOAL = {"static": 1.18, "temporal": 0.0}
-SPEED = "speed_mps"
+MOTION = ("speed_mps", "axis_on_course", "axis_on_sight", "course_on_sight")
+WAYS: dict[str, dict[str, Any]] = {
+    "labels": {},
+    "nothing withheld": {"agreement": 1},
+    "from the first block on": {"agreement": 1, "min_descriptions": 1},
+    "newest block alone": {"agreement": 1, "min_descriptions": 1, "memory": 0.0, "handover": 0.0},
+}
 MARINE = (("marine-life", ("seal", "dolphin", "fish")),)
 Sets = dict[str, Samples]
 Rule = Literal["linear", "quadratic"]
@@ -51,6 +60,7 @@ class Scenes:
 
     folder: Path
     pings: int
+    test: range = TEST
 
     def play(self, seeds: Iterable[int], name: str = "plain", settings: Sequence[str] = ()) -> list[Path]:
         """The folders of the scenes with these seeds and settings; those that are there are not run again."""
@@ -64,6 +74,10 @@ class Scenes:
                 (out / "done").touch()
             folders.append(out)
         return folders
+
+    def at_snr(self, seeds: Iterable[int], snr_db: float) -> list[Path]:
+        """The folders of the scenes with these seeds at another SNR."""
+        return self.play(seeds, f"snr-{snr_db:g}", [f"sonar.snr_db={snr_db}"])
 
 
 def samples(runs: list[Path], groups: tuple[tuple[str, tuple[str, ...]], ...] = ()) -> Sets:
@@ -82,7 +96,7 @@ def learned(train_sets: Sets, test_sets: Sets, rule: Rule = RULE) -> dict[str, O
 def thesis(sets: Sets) -> Sets:
     """The same vectors with the ten and the forty features of the thesis alone."""
     return {
-        name: one.columns([feature for feature in one.features if not feature.startswith(SPEED)])
+        name: one.columns([feature for feature in one.features if not feature.startswith(MOTION)])
         for name, one in sets.items()
     }
 
@@ -94,12 +108,6 @@ def judged(model: Model, held_out: Samples, miss_cost: float) -> Confusion:
     said = decide(posterior(scores), model.class_names.index("diver"), miss_cost, 1.0)
     held_out = held_out.of_classes(model.class_names)
     return confusion(model.class_names, held_out.label, said, held_out.group)
-
-
-def both(one: Confusion, *, group: bool = False) -> tuple[int, int]:
-    """Divers called something else and others called divers, and all."""
-    (missed, divers), (called, others) = one.missed("diver", group=group), one.called("diver", group=group)
-    return missed + called, divers + others
 
 
 def share(wrong: int, n: int) -> str:
@@ -127,8 +135,11 @@ def rows(name: str, outcome: Outcome) -> list[str]:
 
 def held_out(scenes: Scenes) -> dict[str, Outcome]:
     """The main table; gives the four-class linear models."""
-    trained, tested = scenes.play(TRAIN), scenes.play(TEST)
-    print(f"held out: trained on seeds {TRAIN[0]}-{TRAIN[-1]}, judged on {TEST[0]}-{TEST[-1]}")
+    trained, tested = scenes.play(TRAIN), scenes.play(scenes.test)
+    for snr_db, faint in FAINT.items():
+        trained += scenes.at_snr(faint, snr_db)
+    seeds = ", ".join(f"{one[0]}-{one[-1]}" for one in (TRAIN, *FAINT.values()))
+    print(f"held out: trained on seeds {seeds}, judged on {scenes.test[0]}-{scenes.test[-1]}")
     train_sets, test_sets = samples(trained), samples(tested)
     outcomes = learned(train_sets, test_sets)
     for name, outcome in outcomes.items():
@@ -145,25 +156,27 @@ def held_out(scenes: Scenes) -> dict[str, Outcome]:
 def as_decided(tested: Sequence[Path], model: Model) -> None:
     """What the graph's classifier says, block after block."""
     label = labelling().parameters()
-    settings = ", ".join(f"{name} {label[name]}" for name in ("memory", "handover", "min_descriptions"))
-    print(f"as the graph decides: {settings}")
+    named = ("memory", "handover", "min_descriptions", "agreement")
+    print(f"as the graph decides: {', '.join(f'{name} {label[name]}' for name in named)}")
     with TemporaryDirectory() as folder:
         path = Path(folder) / "temporal.json"
         save(path, model)
         for cost in (1.0, 10.0, MISS_COST):
-            whole, newest = decided(tested, path, miss_cost=cost)
-            early, _ = decided(tested, path, miss_cost=cost, min_descriptions=1)
+            told = {
+                name: decided(tested, path, **{"miss_cost": cost, **settings})
+                for name, settings in WAYS.items()
+            }
             print(f"  miss cost {cost:g}")
-            for name, one in (
-                ("labels", whole),
-                ("from the first block on", early),
-                ("newest block alone", newest),
-            ):
+            for name, one in told.items():
                 print(f"    {name:24} error {share(*both(one))}")
                 print(f"    {'':24} missed {share(*one.missed('diver'))}")
                 print(f"    {'':24} called {share(*one.called('diver'))}")
+            whole, always = told["labels"], told["nothing withheld"]
             print(f"    {'targets':24} error {share(*both(whole, group=True))}")
             print(f"    {'':24} missed {share(*whole.missed('diver', group=True))}")
+            for name, count in (("divers", Confusion.missed), ("others", Confusion.called)):
+                kept, every = count(whole, "diver")[1], count(always, "diver")[1]
+                print(f"    withheld, {name:14}       {share(every - kept, every)}")
 
 
 def others(trained: list[Path], tested: list[Path], train_sets: Sets, test_sets: Sets) -> None:
@@ -187,12 +200,25 @@ def others(trained: list[Path], tested: list[Path], train_sets: Sets, test_sets:
 def ablation(scenes: Scenes) -> None:
     """What is left when motion and size, or the echo of the whole body, tell nothing."""
     print("ablation: trained and judged where classes are alike in")
-    cases = {
-        "nothing": [],
-        "speed, turns and length": ["sonar.matched_motion=true"],
-        "echo of the body": ["sonar.matched_echo=true"],
-        "both": ["sonar.matched_motion=true", "sonar.matched_echo=true"],
-    }
+    compare(
+        scenes,
+        {
+            "nothing": [],
+            "speed, turns and length": ["sonar.matched_motion=true"],
+            "echo of the body": ["sonar.matched_echo=true"],
+            "both": ["sonar.matched_motion=true", "sonar.matched_echo=true"],
+        },
+    )
+
+
+def clutters(scenes: Scenes) -> None:
+    """Other laws of the background."""
+    print("clutter: trained and judged in")
+    compare(scenes, {"K": ["sonar.clutter=k"], "measured": ["sonar.clutter=measured"]})
+
+
+def compare(scenes: Scenes, cases: dict[str, list[str]]) -> None:
+    """Errors where scenes have these settings, in training as in judging."""
     for case, settings in cases.items():
         name = "-".join(case.split()) if settings else "plain"
         trained, tested = (scenes.play(seeds, name, settings) for seeds in (FEW_TRAIN, FEW_TEST))
@@ -202,16 +228,16 @@ def ablation(scenes: Scenes) -> None:
 
 
 def over_snr(scenes: Scenes, outcomes: dict[str, Outcome]) -> dict[str, list[tuple[float, float, float]]]:
-    """Where the models that were trained at 20 dB break down."""
-    print("over SNR, models trained at 20 dB: error of vectors, balanced over the two sides")
+    """Where the models that were trained at 20, 14 and 11 dB break down."""
+    print("over SNR, models trained at 20 to 11 dB: error of vectors, balanced over the two sides")
     curve: dict[str, list[tuple[float, float, float]]] = {}
     divers: dict[str, int] = {}
     for snr_db in SNRS_DB:
-        name = "plain" if snr_db == SNRS_DB[0] else f"snr-{snr_db:g}"
-        found = samples(scenes.play(FEW_TEST, name, [f"sonar.snr_db={snr_db}"]))
+        plain = snr_db == SNRS_DB[0]
+        found = samples(scenes.play(FEW_TEST) if plain else scenes.at_snr(FEW_TEST, snr_db))
         for kind, outcome in outcomes.items():
-            plain = judged(outcome.model, found[kind], 1.0)
-            (missed, n), (called, m) = plain.missed("diver"), plain.called("diver")
+            said = judged(outcome.model, found[kind], 1.0)
+            (missed, n), (called, m) = said.missed("diver"), said.called("diver")
             divers.setdefault(kind, n)
             missed_share, called_share = missed / max(n, 1), called / max(m, 1)
             described = n / max(divers[kind], 1)
@@ -224,60 +250,28 @@ def over_snr(scenes: Scenes, outcomes: dict[str, Outcome]) -> dict[str, list[tup
     return curve
 
 
-def draw(
-    outcomes: dict[str, Outcome], curve: dict[str, list[tuple[float, float, float]]], path: Path
-) -> None:
-    """Confusion of the four classes, error over the number of features, error over SNR."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13.0, 3.6), layout="constrained")
-    axes = figure.subplots(1, 4)
-    for axis, (name, outcome) in zip(axes, outcomes.items(), strict=False):
-        count, classes = outcome.plain.count, outcome.plain.classes
-        part = count / count.sum(axis=1, keepdims=True)
-        axis.imshow(part, cmap="Blues", vmin=0.0, vmax=1.0)
-        for i, j in np.ndindex(*count.shape):
-            axis.text(
-                j, i, str(count[i, j]), ha="center", va="center", color="w" if part[i, j] > 0.5 else "k"
-            )
-        axis.set_xticks(range(len(classes)), classes)
-        axis.set_yticks(range(len(classes)), classes)
-        axis.set_title(f"{name}, held-out seeds")
-        axis.set_xlabel("label")
-        features = range(1, len(outcome.curve) + 1)
-        error = [100 * both(one)[0] / both(one)[1] for one in outcome.curve]
-        axes[2].plot(features, error, label=name)
-    axes[2].set_yscale("symlog", linthresh=1.0)
-    axes[2].set_xlabel("features")
-    axes[2].set_ylabel("error, diver or not, %")
-    axes[2].legend()
-    for name, points in curve.items():
-        axes[3].plot([p[0] for p in points], [100 * p[1] for p in points], "o-", label=f"{name}: error")
-        axes[3].plot([p[0] for p in points], [100 * p[2] for p in points], ":", label=f"{name}: described")
-    axes[3].set_xlabel("SNR of a gas scatterer, dB")
-    axes[3].set_ylabel("%")
-    axes[3].legend(fontsize=7)
-    figure.savefig(path, dpi=90)
-
-
 def main() -> None:
     """Print the tables; draw the picture if asked."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--only", choices=("held-out", "ablation", "snr"), help="[all]")
+    parser.add_argument("--only", choices=("held-out", "ablation", "clutter", "snr"), help="[all]")
     parser.add_argument("--pings", type=int, default=500, help="of each scene")
+    parser.add_argument("--test", type=int, nargs=2, metavar="SEED", help="first and last [3001 3016]")
     parser.add_argument("--keep", type=Path, help="folder in which scenes are kept, and found again")
     parser.add_argument("--picture", type=Path)
     options = parser.parse_args()
     with TemporaryDirectory() as temporary:
-        scenes = Scenes(options.keep or Path(temporary), options.pings)
-        if options.only == "ablation":
-            return ablation(scenes)
+        first, last = options.test or (TEST[0], TEST[-1])
+        scenes = Scenes(options.keep or Path(temporary), options.pings, range(first, last + 1))
+        alone = {"ablation": ablation, "clutter": clutters}.get(options.only)
+        if alone is not None:
+            return alone(scenes)
         outcomes = held_out(scenes)
         curve = over_snr(scenes, outcomes) if options.only != "held-out" else {}
         if options.only is None:
             ablation(scenes)
+            clutters(scenes)
         if options.picture:
             draw(outcomes, curve, options.picture)
         return None

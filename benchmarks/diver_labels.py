@@ -11,7 +11,7 @@ import numpy as np
 from fls_flow import Features
 from fls_flow import graph as graphs
 from fls_flow.model_files import load
-from fls_flow.tools.train_labels import NOBODY, follow, look_up
+from fls_flow.tools.train_labels import NOBODY, follow, look_up, throughout
 from fls_flow.tools.train_scores import Confusion, confusion
 from fls_flow.tools.train_tables import read_table
 
@@ -23,17 +23,14 @@ def labelling() -> graphs.Node:
     return graphs.load("diver_classification").node("label")
 
 
-def decided(runs: Sequence[Path], model: Path, **parameters: Any) -> tuple[Confusion, Confusion]:
-    """What the graph's classifier calls followed tracks, block after block; and from the newest block alone.
+def decided(runs: Sequence[Path], model: Path, **parameters: Any) -> Confusion:
+    """What the graph's classifier calls followed tracks, block after block, where it has a label.
 
     `parameters` take the place of the graph's.
     """
     label = labelling()
     given = {**label.parameters(), "model": model, **parameters}
-    newest = {**given, "memory": 0.0, "handover": 0.0, "min_descriptions": 1}
-    found = [[_labels(run, label.kind.cls(**one)) for run in runs] for one in (given, newest)]
-    classes = load(model).class_names
-    return tuple(_counted(classes, one) for one in found)  # type: ignore[return-value]  # two of them
+    return _counted(load(model).class_names, [_labels(run, label.kind.cls(**given)) for run in runs])
 
 
 def _labels(run: Path, classifier: Any) -> list[tuple[str, str, int]]:
@@ -41,6 +38,7 @@ def _labels(run: Path, classifier: Any) -> list[tuple[str, str, int]]:
     table = read_table(run / "temporal.csv")
     followed = follow(run / "tracks.csv", run / "truth.csv", gate_m=GATE_M, share=0.5)
     at = look_up(followed, table.stamp_ns, table.track_id)
+    whole = throughout(followed, at, table.track_id)
     rows = []
     for seq, stamp_ns in enumerate(np.unique(table.stamp_ns).tolist()):
         here = np.flatnonzero(table.stamp_ns == stamp_ns)
@@ -50,7 +48,7 @@ def _labels(run: Path, classifier: Any) -> list[tuple[str, str, int]]:
         }
         for row in here.tolist():
             track, target = int(table.track_id[row]), int(followed.target[at[row]])
-            if track in names and at[row] >= 0 and target != NOBODY:
+            if track in names and whole[row] and target != NOBODY:
                 rows.append((str(followed.word[at[row]]), names[track], target))
     return rows
 

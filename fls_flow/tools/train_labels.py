@@ -11,7 +11,7 @@ import numpy.typing as npt
 from fls_flow.errors import UserError
 from fls_flow.evaluate.table import Table, read
 
-__all__ = ["Followed", "follow", "look_up"]
+__all__ = ["Followed", "follow", "look_up", "throughout"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -28,6 +28,8 @@ class Followed:
     target: IntArray  # (n,) its id; NOBODY
     free: npt.NDArray[np.bool_]  # (n,) whether the whole track follows no target
     word: npt.NDArray[np.str_]  # (n,) the target's class
+    place: IntArray  # (n,) how many rows of its track come before it
+    since: IntArray  # (n,) for how many rows of its track, with this one, that target has been the same
 
 
 def follow(tracks_path: Path, truth_path: Path, *, gate_m: float, share: float) -> Followed:
@@ -48,6 +50,7 @@ def follow(tracks_path: Path, truth_path: Path, *, gate_m: float, share: float) 
     near = distance <= gate_m
     target = np.full(track_id.size, NOBODY, np.int64)
     free = np.zeros(track_id.size, bool)
+    place, since = np.zeros(track_id.size, np.int64), np.zeros(track_id.size, np.int64)
     for one in np.unique(track_id):
         rows = np.flatnonzero(track_id == one)
         chosen = _chosen(near[rows], distance[rows], share)
@@ -55,9 +58,18 @@ def follow(tracks_path: Path, truth_path: Path, *, gate_m: float, share: float) 
         if chosen is not None:
             sure = near[rows, chosen] & (distance[rows].argmin(axis=1) == chosen)
             target[rows[sure]] = names[chosen]
+        place[rows] = np.arange(rows.size)
+        since[rows] = _run_lengths(target[rows])
     classes = dict(zip(truth.columns["target_id"].tolist(), truth.columns["class"].tolist(), strict=True))
     word = np.array([classes.get(one, "") for one in target.tolist()], np.str_)
-    return Followed(tracks.stamp_ns[tracks.ping], track_id, target, free, word)
+    return Followed(tracks.stamp_ns[tracks.ping], track_id, target, free, word, place, since)
+
+
+def _run_lengths(values: IntArray) -> IntArray:
+    """(n,) for how many values in a row, up to and with each, nothing has changed."""
+    at = np.arange(values.size)
+    begins = np.concatenate([[True], np.diff(values) != 0])[: values.size]
+    return np.asarray(at - np.maximum.accumulate(np.where(begins, at, 0)) + 1)
 
 
 def _distances(tracks: Table, truth: Table) -> tuple[IntArray, FloatArray]:
@@ -98,3 +110,19 @@ def look_up(followed: Followed, stamp_ns: IntArray, track_id: IntArray) -> IntAr
     wanted = np.rec.fromarrays([track_id, stamp_ns])
     at = np.minimum(np.searchsorted(known, wanted), order.size - 1)
     return np.where(known[at] == wanted, order[at], -1).astype(np.int64)
+
+
+def throughout(followed: Followed, at: IntArray, track_id: IntArray) -> npt.NDArray[np.bool_]:
+    """(m,) whether the tracks of descriptions followed one target in all pings that these are made of.
+
+    `at` (m,) are their rows of the track file, those of the newest ping; -1: none, and False. A description
+    is made of as many pings as lie between two of one track, at least: one of static features, a whole block
+    of temporal ones.
+    """
+    there = np.flatnonzero(at >= 0)
+    order = there[np.lexsort((at[there], track_id[there]))]
+    step = np.diff(followed.place[at[order]])[np.diff(track_id[order]) == 0]
+    pings = int(step[step > 0].min()) if (step > 0).any() else 1
+    whole = np.zeros(at.size, bool)
+    whole[there] = (followed.since[at[there]] >= pings) & (followed.target[at[there]] != NOBODY)
+    return whole

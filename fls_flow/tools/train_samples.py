@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from fls_flow.errors import UserError
 from fls_flow.evaluate.classifier import Groups, grouped
-from fls_flow.tools.train_labels import NOBODY, Followed, follow, look_up
+from fls_flow.tools.train_labels import NOBODY, Followed, follow, look_up, throughout
 from fls_flow.tools.train_tables import FeatureTable, Run, read_labels, read_table, run_record
 
 __all__ = ["Labelling", "Samples", "gather", "only"]
@@ -134,7 +134,8 @@ def _by_target(
 ) -> tuple[Words, list[tuple[Any, ...]]]:
     at = look_up(followed, table.stamp_ns, table.track_id)
     there = at >= 0
-    target = np.where(there, followed.target[at], NOBODY) if followed.target.size else at
+    whole = throughout(followed, at, table.track_id)
+    target = np.where(whole, followed.target[at], NOBODY) if followed.target.size else at
     word = np.where(target != NOBODY, followed.word[at] if followed.word.size else "", "")
     if clutter is not None and followed.free.size:
         word = np.where(there & followed.free[at], clutter, word)

@@ -170,6 +170,38 @@ def test_a_track_has_no_label_before_it_was_described_often_enough(one_feature, 
     assert got == [{}, {}, {1: "diver"}, {1: "diver", 2: "diver"}]  # the first description counts too
 
 
+@pytest.mark.parametrize(
+    ("x", "told"),
+    [
+        ([-5.0, -5.0, -5.0, -5.0], "..dd"),
+        ([-5.0, -5.0, -5.0, 5.0, -5.0, -5.0, -5.0, -5.0], "..d...dd"),  # one description does not turn it
+        ([-5.0, -5.0, -5.0, 5.0, 5.0, 5.0], "..d..s"),  # three do
+        ([-9.0, -9.0, -9.0, 3.0, -5.0], "..d.d"),  # all evidence holds; the newest alone is against it
+    ],
+)
+def test_a_track_has_a_label_while_its_descriptions_agree(one_feature, described, x, told):
+    """Evidence joins in full for the last case; else a track may have changed hands."""
+    handover = 0.0 if x[0] == -9.0 else 0.1
+    node = LinearDiscriminant(one_feature(), memory=1.0, handover=handover, agreement=3)
+    got = ""
+    for seq, one in enumerate(x):
+        found = labels_of(node(described(3 * seq, {1: [one]}, ("x",))))
+        got += found.get(1, ".")[0]
+        assert labels_of(node(described(3 * seq + 1, {}, ("x",)))) == found  # as it is until the next
+    assert got == told
+
+
+def test_with_three_classes_sides_agree_not_classes(make_model, described, tmp_path):
+    """Seal, fish, seal, fish: never the diver."""
+    values = np.array([[-5.0], [-4.0], [0.0], [1.0], [5.0], [6.0]])
+    label = np.repeat([0, 1, 2], 2)
+    model = make_model(counts=(2, 2, 2), values=values, label=label, features=("x",))
+    files.save(tmp_path / "m.json", model)
+    node = LinearDiscriminant(tmp_path / "m.json", agreement=2)
+    got = [labels_of(node(described(n, {1: [x]}, ("x",)))) for n, x in enumerate([0.5, 5.5, 0.5, -4.5])]
+    assert got == [{}, {1: "fish"}, {1: "seal"}, {}]
+
+
 def test_features_that_are_no_numbers_say_nothing(model_file, described):
     node = LinearDiscriminant(model_file())
     node(described(0, {1: [0.0, 0.0, 0.0]}))
@@ -198,6 +230,7 @@ def test_nodes_keep_the_contract(cls, model_file, described, alive, rng):
         for seq in range(10)
     ]
     check_node(cls(path, memory=0.7, hold_pings=2, min_descriptions=2, handover=0.1), firings)
+    check_node(cls(path, memory=1.0, handover=0.1, agreement=2), firings)
     with_tracks = [firing | {"tracks": alive(seq, [seq % 3, 3])} for seq, firing in enumerate(firings)]
     check_node(cls(path), with_tracks)
 
@@ -212,6 +245,7 @@ def test_nodes_keep_the_contract(cls, model_file, described, alive, rng):
         ({"hold_pings": 0}, "hold_pings is 0"),
         ({"handover": 1.5}, "handover is 1.5"),
         ({"min_descriptions": 0}, "min_descriptions is 0"),
+        ({"agreement": 0}, "agreement is 0"),
     ],
 )
 @pytest.mark.parametrize("cls", NODES)

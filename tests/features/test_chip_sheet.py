@@ -26,7 +26,9 @@ def make_firing(rng):
         two = np.zeros((n, 2), np.int64)
         tables = np.tile(20 + 0.1 * np.arange(rows), (n, 1)), np.tile(0.01 * np.arange(8), (n, 1))
         return {
-            "chips": Chips(seq, stamp, track, amplitude, two, two, *tables, 0.1, 0.01),
+            "chips": Chips(
+                seq, stamp, track, amplitude, two, two, *tables, 0.1, 0.01, course_rad=np.zeros(n)
+            ),
             "regions": Regions(seq, stamp, track, mask, two, np.ones(n, bool)),
             "features": Features(seq, stamp, track, ("area", "mean"), rng.random((n, 2))),
             "classes": Classes(
@@ -122,6 +124,7 @@ def test_chips_whose_size_changes_flat_ones_and_whole_regions(tmp_path, make_fir
         flat["chips"].track_id,
         zeros,
         *(getattr(flat["chips"], n) for n in ("origin", "centre", "range_m", "bearing_rad")),
+        course_rad=np.zeros(1),
     )
     sheet(chips, Regions(9, 9, chips.track_id, zeros == 0, chips.origin, np.ones(1, bool)))
     sheet.close()

@@ -1,6 +1,7 @@
 """Which tracks get a chip, where it lies, and what it holds."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -140,6 +141,18 @@ def test_tracks_in_ned_are_found_through_the_navigation(numbered, make_tracks):
     assert not len(CutChips()(numbered(), make_tracks(ids=[1], frame="ned", **at)))
     lost = NavState(0, 0, position_m=(100.0, -50.0, 3.0))
     assert not len(CutChips()(numbered(nav=lost), make_tracks(ids=[1], frame="ned", **at)))
+
+
+def test_courses_are_those_in_the_frame_of_the_sensor(numbered, make_tracks):
+    nav = NavState(0, 0, position_m=(3.0, -2.0, 3.0), attitude_rad=(0.0, 0.0, 0.7))
+    for frame, heading in (("sensor", 0.0), ("ned", 0.7)):
+        tracks = make_tracks(ids=[4, 5], range_m=[20.0, 21.0], bearing_rad=[0.5, 0.6], frame=frame)
+        state = tracks.state.copy()
+        state[:, 2:] = [[0.3, 0.4], [-1.0, -0.1]]
+        chips = CutChips(half_bearing_deg=60.0)(numbered(nav=nav), replace(tracks, state=state))
+        expected = np.array([math.atan2(0.4, 0.3), math.atan2(-0.1, -1.0)]) - heading
+        assert_allclose(np.cos(chips.course_rad - expected), 1.0)
+        assert chips.track_id.tolist() == [4, 5]
 
 
 def test_sizes_are_rounded_half_up():

@@ -20,8 +20,9 @@ def make_chips():
         bearing = np.tile(np.radians(0.5) * np.arange(columns), (n, 1))
         origin = np.zeros((n, 2), np.int64)
         return Chips(
-            seq, 7, np.arange(n) + 5, amplitude, origin, centre, range_m, bearing, 0.1, np.radians(0.5)
-        )
+            seq, 7, np.arange(n) + 5, amplitude, origin, centre, range_m, bearing, 0.1, np.radians(0.5),
+            course_rad=np.zeros(n),
+        )  # fmt: skip
 
     return made
 

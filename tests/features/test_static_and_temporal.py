@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fls_features.blocks import STATISTICS, block_names, block_statistics
 from fls_features.chip_messages import Chips, Regions
+from fls_features.directions import alignment
 from fls_features.shape import CELL_NAMES, METRIC_NAMES
 from fls_features.static_features import StaticFeatures
 from fls_features.temporal_features import TemporalFeatures
@@ -17,12 +18,12 @@ from fls_flow.testing import check_node
 def make_pair(rng):
     """Chips and their regions, n of them."""
 
-    def made(n, seq=0, kept=None):
+    def made(n, seq=0, kept=None, course_rad=0.0):
         mask = rng.random((n, 12, 9)) < 0.4
         chips = Chips(
             seq, 5, np.arange(n) + 1, rng.random((n, 12, 9)).astype(np.float32), np.zeros((n, 2), np.int64),
             np.zeros((n, 2), np.int64), np.tile(20 + 0.1 * np.arange(12), (n, 1)),
-            np.tile(0.01 * np.arange(9), (n, 1)), 0.1, 0.01,
+            np.tile(0.01 * np.arange(9), (n, 1)), 0.1, 0.01, course_rad=np.full(n, course_rad),
         )  # fmt: skip
         kept = np.ones(n, bool) if kept is None else np.asarray(kept, bool)
         return chips, Regions(seq, 5, chips.track_id, mask, np.zeros((n, 2), np.int64), kept)
@@ -79,18 +80,62 @@ def tracks_of(ids, velocity):
     return Tracks(0, 5, np.array(ids, np.int64), np.ones(n, np.uint8), state, np.zeros((n, 4, 4)), ints, ints)
 
 
-def test_with_tracks_the_speed_of_each_follows_the_ten(make_pair):
-    chips, regions = make_pair(3, kept=[True, False, True])
+def test_with_tracks_the_motion_of_each_follows_the_ten(make_pair):
+    chips, regions = make_pair(3, kept=[True, False, True], course_rad=0.3)
     tracks = tracks_of([9, 3, 2, 1], [[0.0, 0.0], [0.3, -0.4], [7.0, 7.0], [-1.2, 0.5]])
     plain, found = (StaticFeatures("metres")(chips, regions, *given) for given in ((), (tracks,)))
-    assert found.names == (*METRIC_NAMES, "speed_mps")
-    assert_array_equal(found.values[:, :-1], plain.values)
-    assert_allclose(found.values[:, -1], [1.3, 0.5])
+    assert found.names == (*METRIC_NAMES, "speed_mps", "axis_on_course", "axis_on_sight", "course_on_sight")
+    assert_array_equal(found.values[:, :10], plain.values)
+    assert_allclose(found.values[:, 10], [1.3, 0.5])
+    kept = regions.kept
+    angles = alignment(
+        regions.mask[kept], chips.range_m[kept], chips.bearing_rad[kept], chips.course_rad[kept]
+    )
+    assert_array_equal(found.values[:, 11:], angles)
     nobody = StaticFeatures("metres")(Chips(1, 2), Regions(1, 2), tracks_of([], np.zeros((0, 2))))
-    assert (nobody.names, nobody.values.shape) == (found.names, (0, 11))
+    assert (nobody.names, nobody.values.shape) == (found.names, (0, 14))
     with pytest.raises(ValueError, match=r"chips are of tracks \[3\], which are not there"):
         StaticFeatures()(chips, regions, tracks_of([1, 2], np.zeros((2, 2))))
     check_node(StaticFeatures(), [{"chips": chips, "regions": regions, "tracks": tracks}] * 3)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, 1.3, -0.9])
+def test_a_rod_has_the_angles_that_it_lies_at(turn):
+    """A rod of 2 m x 0.2 m at 20 m and 0.2 rad, `turn` off the line of sight, that moves at 0.7 rad."""
+    range_m, bearing = 17.0 + 0.05 * np.arange(121), np.radians(0.1) * np.arange(-60, 180)
+    r, b = np.meshgrid(range_m, bearing, indexing="ij")
+    x, y = r * np.cos(b) - 20.0 * np.cos(0.2), r * np.sin(b) - 20.0 * np.sin(0.2)
+    axis = 0.2 + turn
+    along, across = x * np.cos(axis) + y * np.sin(axis), y * np.cos(axis) - x * np.sin(axis)
+    rod = (np.abs(along) <= 1.0) & (np.abs(across) <= 0.1)
+    found = alignment(rod[None], range_m[None], bearing[None], np.array([0.7]))
+    assert_allclose(found, [[abs(np.cos(axis - 0.7)), abs(np.cos(turn)), abs(np.cos(0.5))]], atol=0.01)
+    back = alignment(rod[None, ::-1, ::-1], range_m[None, ::-1], bearing[None, ::-1], np.array([0.7 + np.pi]))
+    assert_allclose(back, found)  # neither has a sign, whichever way the tables run
+
+
+def test_alignment_equals_that_of_the_eigenvector_of_the_covariance(make_pair, rng):
+    chips, regions = make_pair(40)
+    course = rng.uniform(-4.0, 4.0, 40)
+    found = alignment(regions.mask, chips.range_m, chips.bearing_rad, course)
+    for k in range(40):
+        r, b = np.meshgrid(chips.range_m[k], chips.bearing_rad[k], indexing="ij")
+        cells = np.stack([r * np.cos(b), r * np.sin(b)])[:, regions.mask[k]]
+        weights = r[regions.mask[k]]
+        axis = np.linalg.eigh(np.cov(cells, ddof=0, aweights=weights))[1][:, 1]
+        sight = np.average(cells, axis=1, weights=weights)
+        sight /= np.hypot(*sight)
+        ahead = np.array([np.cos(course[k]), np.sin(course[k])])
+        assert_allclose(found[k], np.abs([axis @ ahead, axis @ sight, ahead @ sight]), atol=1e-6)
+
+
+def test_alignment_of_one_cell_and_of_none():
+    mask = np.zeros((2, 3, 3), bool)
+    mask[0, 1, 1] = True
+    tables = np.tile([10.0, 11.0, 12.0], (2, 1)), np.tile([-0.1, 0.0, 0.1], (2, 1))
+    found = alignment(mask, *tables, np.array([0.0, 0.0]))
+    assert_allclose(found[0], 1.0)
+    assert np.isnan(found[1]).all()
 
 
 def test_bad_values_are_named():
@@ -100,6 +145,10 @@ def test_bad_values_are_named():
         TemporalFeatures(block=1)
     with pytest.raises(ValueError, match="max_gap is 0"):
         TemporalFeatures(max_gap=0)
+    with pytest.raises(ValueError, match=r"max_leap is 1\.0"):
+        TemporalFeatures(max_leap=1.0)
+    with pytest.raises(ValueError, match="leap_of is 'c'; the features are a, b"):
+        TemporalFeatures(leap_of="c")(described(0, {}))
 
 
 def test_statistics_of_a_block_by_hand():
@@ -157,9 +206,20 @@ def test_a_gap_begins_the_block_anew():
     assert_allclose(rows_of(found[3])[1]["a.mean"], (0 + 1 + 3) / 3)
 
 
-def test_tracks_are_independent_of_each_other(rng):
+def test_a_leap_begins_the_block_with_what_came_after_it():
+    node = TemporalFeatures(block=3, leap_of="a", max_leap=2.0)
+    sizes = [1.0, 1.9, 4.0, 2.0, 2.5, 1.0, 1.0, 2.0]
+    found = [node(described(seq, {1: size, 2: 5.0})) for seq, size in enumerate(sizes)]
+    assert [one.track_id.tolist() for one in found] == [[], [], [2], [], [1], [2], [], [1]]
+    assert_allclose(rows_of(found[4])[1]["a.mean"], (4.0 + 2.0 + 2.5) / 3)  # twice as large is no leap
+    assert_allclose(rows_of(found[7])[1]["a.mean"], (1.0 + 1.0 + 2.0) / 3)  # nor one between two blocks
+
+
+@pytest.mark.parametrize("leap_of", [None, "b"])
+def test_tracks_are_independent_of_each_other(rng, leap_of):
     """Many tracks that come and go, against one node per track."""
-    together, alone = TemporalFeatures(block=4), {n: TemporalFeatures(block=4) for n in range(12)}
+    given = {"block": 4, "leap_of": leap_of, "max_leap": 30.0}
+    together, alone = TemporalFeatures(**given), {n: TemporalFeatures(**given) for n in range(12)}
     rows = 0
     for seq in range(200):
         here = {int(n): float(rng.normal()) for n in rng.permutation(12) if rng.random() < 0.9}
@@ -169,7 +229,7 @@ def test_tracks_are_independent_of_each_other(rng):
             expected |= rows_of(node(described(seq, {n: here[n]} if n in here else {})))
         assert found == expected
         rows += len(found)
-    assert rows > 200
+    assert rows > (200 if leap_of is None else 100)
 
 
 def test_tracks_that_are_gone_are_forgotten():
@@ -201,4 +261,5 @@ def test_temporal_features_keep_the_contract(rng):
         for seq in range(12)
     ]
     check_node(TemporalFeatures(block=2), firings)
+    check_node(TemporalFeatures(block=2, leap_of="b"), firings)
     check_node("temporal-features")

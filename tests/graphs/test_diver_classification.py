@@ -107,8 +107,8 @@ def test_training_writes_both_tables_and_the_truth(tmp_path):
         name: (tmp_path / f"{name}.csv").read_text().split("\n", 2)[0] for name in ("static", "temporal")
     }
     assert heads["static"].startswith("seq,stamp_ns,track_id,area_m2,perimeter_m,")
-    assert len(heads["static"].split(",")) == 3 + 11
-    assert len(heads["temporal"].split(",")) == 3 + 44
+    assert len(heads["static"].split(",")) == 3 + 14
+    assert len(heads["temporal"].split(",")) == 3 + 56
     assert len((tmp_path / "temporal.csv").read_text().splitlines()) > 10
     assert {"tracks.csv", "truth.csv"} <= {path.name for path in tmp_path.iterdir()}
 
@@ -121,10 +121,11 @@ def test_the_shipped_model_takes_what_the_training_graph_gives():
 
 
 def test_a_model_of_other_features_is_refused_in_one_line(tmp_path):
+    given = ["sonar.pings=80", "static.shape=cells", "temporal.leap_of=area", *FAST]
     with pytest.raises(
         Exception, match=r"diver\.json: the model needs .*; the features that come are area\.mean"
     ) as caught:
-        run_graph("diver_classification", set_=["sonar.pings=80", "static.shape=cells", *FAST], out=tmp_path)
+        run_graph("diver_classification", set_=given, out=tmp_path)
     assert "\n" not in str(caught.value)
 
 

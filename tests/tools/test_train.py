@@ -16,7 +16,7 @@ from fls_flow.cli.train import train as command
 from fls_flow.discriminants import linear, posterior
 from fls_flow.errors import FlsFlowError, UserError
 from fls_flow.tools.train import lessons
-from fls_flow.tools.train_labels import follow, look_up
+from fls_flow.tools.train_labels import follow, look_up, throughout
 from fls_flow.tools.train_model import Settings, unit_of
 from fls_flow.tools.train_samples import Labelling, gather
 from fls_flow.tools.train_tables import find_runs, read_table
@@ -296,6 +296,24 @@ def test_targets_that_come_and_go_and_empty_files(follow_rows):
     assert (follow_rows([(0, 5, 0.0, 0.0)], []).target == -1).all()
     assert not follow_rows([], truth).target.size
     assert look_up(follow_rows([], truth), np.array([1]), np.array([5])).tolist() == [-1]
+
+
+def test_a_description_is_of_the_target_that_was_followed_in_all_its_pings(follow_rows):
+    truth = [(k, 1, 0.0, 0.0, "diver") for k in range(4, 30)]
+    tracks = [(k, n, 0.0, 9.0 if n == 6 and k == 20 else 0.0) for k in range(30) for n in (5, 6)]
+    found = follow_rows(tracks, truth)
+
+    def whole(track, pings):
+        at = look_up(found, np.array(pings), np.full(len(pings), track))
+        return throughout(found, at, np.full(len(pings), track)).tolist()
+
+    blocks = [3, 6, 9, 12, 15, 18, 21, 24]  # of three pings: 1-3, 4-6, ...
+    assert whole(5, blocks) == [False] + [True] * 7
+    assert whole(6, blocks) == [False] + [True] * 5 + [False, True]
+    assert whole(5, [5, 8, 12, 15]) == [False, True, True, True]  # ping 3 had no target
+    assert whole(5, [3, 4, 5, 6])[1:] == [True] * 3  # one ping each
+    assert whole(5, [7]) == [True]
+    assert whole(9, [7]) == [False]  # no such track
 
 
 def test_rows_are_looked_up_by_ping_and_track(follow_rows, rng):

@@ -43,6 +43,7 @@ class GaussianClassifier:
     hold_pings: int = 100
     min_descriptions: int = 1
     handover: float = 0.0
+    agreement: int = 1
     _model: Model = field(init=False, repr=False)
     _scaling: Scaling = field(init=False, repr=False)
     _log_prior: FloatArray = field(init=False, repr=False)
@@ -73,6 +74,7 @@ class GaussianClassifier:
             self.hold_pings,
             self.min_descriptions,
             self.handover,
+            self.agreement,
         )
 
     def _of(self, model: Model) -> Discriminants:

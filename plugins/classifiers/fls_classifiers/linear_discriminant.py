@@ -27,7 +27,10 @@ class LinearDiscriminant(GaussianClassifier):
     description. `memory` is the share of the earlier evidence (log likelihood) that joins the new one: 0
     takes the newest description alone, 1 all as if they were independent. `handover` is the chance that a
     track has gone over to something else since its last description: then no history outweighs what is
-    clearly seen now. `positive`, `miss_cost` and `false_alarm_cost` are the model's where None.
+    clearly seen now. With `agreement` n > 1, a track has a row only while its last n descriptions agree:
+    after each of them all evidence so far spoke for the same side (the positive class, or the others), and
+    so does the newest one alone. Without a row, a track may be anything. `positive`, `miss_cost` and
+    `false_alarm_cost` are the model's where None.
 
     Raises InputError for a file that holds no model, and at the first features that are not the model's.
     """

@@ -43,6 +43,7 @@ class SklearnModel:
     hold_pings: int = 100
     min_descriptions: int = 1
     handover: float = 0.0
+    agreement: int = 1
     _estimator: Any = field(init=False, repr=False)
     _costs: Costs = field(init=False, repr=False)
     _labels: TrackLabels = field(init=False, repr=False)
@@ -61,6 +62,7 @@ class SklearnModel:
             self.hold_pings,
             self.min_descriptions,
             self.handover,
+            self.agreement,
         )
 
     def __call__(self, features: Features, tracks: Tracks | None = None) -> Classes:

@@ -34,6 +34,7 @@ class Chips(Sealed):
     near_chip: IntArray = array(np.int64, "m")  # pairs of a chip and another confirmed track in or near it
     near_id: IntArray = array(np.int64, "m")  # that track
     near_polar: FloatArray = array(float, "m", 2)  # its range (m) and bearing (rad)
+    course_rad: FloatArray = array(float, "n")  # where each track moves, from the sensor's x to starboard
 
     def __len__(self) -> int:
         return self.track_id.size

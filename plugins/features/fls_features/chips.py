@@ -59,11 +59,13 @@ class CutChips:
             wanted &= tracks.status == CONFIRMED
         if not (wanted.any() and ping.amplitude.size):
             return Chips(ping.seq, ping.stamp_ns)
-        place = _in_sensor_frame(tracks, ping)
-        if place is None:
+        found = _in_sensor_frame(tracks, ping)
+        if found is None:
             return Chips(ping.seq, ping.stamp_ns)
+        place, course = found
         sure = tracks.status == CONFIRMED
-        return self._chips(ping, tracks.id[wanted], place[wanted], tracks.id[sure], place[sure])
+        sought = tracks.id[wanted], place[wanted], course[wanted]
+        return self._chips(ping, *sought, tracks.id[sure], place[sure])
 
     def _updated(self, tracks: Tracks) -> BoolArray:
         """Which tracks have more hits than in the ping before; keeps their hits for the next."""
@@ -76,7 +78,13 @@ class CutChips:
         return np.asarray(tracks.hits > before)
 
     def _chips(
-        self, ping: Ping, track_id: IntArray, place: FloatArray, sure_id: IntArray, sure_place: FloatArray
+        self,
+        ping: Ping,
+        track_id: IntArray,
+        place: FloatArray,
+        course: FloatArray,
+        sure_id: IntArray,
+        sure_place: FloatArray,
     ) -> Chips:
         distance, bearing = to_polar(place)
         spacing = abs(ping.beam_spacing_rad)
@@ -107,6 +115,7 @@ class CutChips:
             ping.cell_m,
             spacing,
             *self._near(track_id[near], distance[near], bearing[near], sure_id, sure_place),
+            course[near],
         )
 
     def _near(
@@ -133,15 +142,18 @@ class CutChips:
         self._id, self._hits = np.array(snapshot["id"]), np.array(snapshot["hits"])
 
 
-def _in_sensor_frame(tracks: Tracks, ping: Ping) -> FloatArray | None:
-    """(n, 2) positions in the sensor's frame; None where the sensor's own place is not known."""
-    place = tracks.state[:, :2]
+def _in_sensor_frame(tracks: Tracks, ping: Ping) -> tuple[FloatArray, FloatArray] | None:
+    """Positions (n, 2) and courses (n,) in the sensor's frame; None where its own place is not known."""
+    place, velocity = tracks.state[:, :2], tracks.state[:, 2:]
     if tracks.frame == "sensor":
-        return place
+        return place, np.arctan2(velocity[:, 1], velocity[:, 0])
     nav = ping.nav
     if nav is None or not np.isfinite([*nav.position_m[:2], nav.attitude_rad[2]]).all():
         return None
-    return sensor_pose(nav, ping.mount).to_sensor(place)
+    pose = sensor_pose(nav, ping.mount)
+    at = pose.to_sensor(place)
+    ahead = pose.to_sensor(place + velocity) - at
+    return at, np.arctan2(ahead[:, 1], ahead[:, 0])
 
 
 @hookimpl

@@ -1,4 +1,4 @@
-"""Describe the object in each chip by ten numbers, and by its speed."""
+"""Describe the object in each chip by ten numbers, and by how it moves."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from fls_features.chip_messages import Chips, Regions
+from fls_features.directions import alignment
 from fls_features.shape import Shape, in_cells, in_metres, names_of
 from fls_flow import Features, Tracks, hookimpl
 
-__all__ = ["SPEED", "StaticFeatures"]
+__all__ = ["MOTION", "StaticFeatures"]
 
-SPEED = "speed_mps"
+MOTION = ("speed_mps", "axis_on_course", "axis_on_sight", "course_on_sight")
 
 
 @dataclass
@@ -23,13 +24,15 @@ class StaticFeatures:
 
     One row per region that was kept. `shape: cells` measures as the source does: the farther an object, the
     wider the beams and the smaller its numbers. `shape: metres` measures what the cells cover, in names of
-    its own, so that range changes only what it does to the image. With `tracks` wired an eleventh feature is
-    `speed_mps`, that of the track's state: over ground in NED tracks, else relative to the sonar.
+    its own, so that range changes only what it does to the image. With `tracks` wired four more features say
+    how the object moves: `speed_mps`, that of the track's state (over ground in NED tracks, else relative to
+    the sonar), and |cos| of the angles between the region's major axis, the course of the track, and the line
+    of sight: a body swims along its axis, a school need not, and what faces the sonar echoes most.
 
     Raises ValueError when chips and regions are not of the same tracks, or a chip's track is not among
     `tracks`.
 
-    Source: Brinkmann 2010, 3.3.2.1; the speed is ours.
+    Source: Brinkmann 2010, 3.3.2.1; motion is ours.
     """
 
     shape: Shape = "cells"
@@ -51,7 +54,7 @@ class StaticFeatures:
         if len(chips):
             values = self._measured(chips, regions)
         if tracks is not None:
-            names, values = (*names, SPEED), np.column_stack([values, _speed_mps(tracks, track_id)])
+            names, values = (*names, *MOTION), np.column_stack([values, _motion(chips, regions, tracks)])
         known = np.isfinite(values).all(axis=1)
         return Features(chips.seq, chips.stamp_ns, track_id[known], names, values[known])
 
@@ -63,6 +66,14 @@ class StaticFeatures:
             return in_cells(mask, amplitude)
         tables = chips.range_m[kept], chips.bearing_rad[kept]
         return in_metres(mask, amplitude, *tables, chips.cell_m, chips.beam_spacing_rad)
+
+
+def _motion(chips: Chips, regions: Regions, tracks: Tracks) -> npt.NDArray[np.float64]:
+    """(n, 4) speed, and the angles between axis, course and line of sight, of the regions that were kept."""
+    kept = regions.kept
+    speed = _speed_mps(tracks, chips.track_id[kept])
+    tables = chips.range_m[kept], chips.bearing_rad[kept]
+    return np.column_stack([speed, alignment(regions.mask[kept], *tables, chips.course_rad[kept])])
 
 
 def _speed_mps(tracks: Tracks, track_id: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
