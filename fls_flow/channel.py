@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import select
 import socket
 import threading
 from typing import Any
 
-__all__ = ["Channel", "ChannelLog"]
+__all__ = ["Bell", "Channel", "ChannelLog"]
 
 
 class Channel:
@@ -47,6 +49,10 @@ class Channel:
         *lines, self._buffer = self._buffer.split(b"\n")
         return [json.loads(line) for line in lines], there
 
+    def pending(self) -> bool:
+        """Whether `drain` would find something, be it the end."""
+        return bool(select.select([self.socket], [], [], 0.0)[0])
+
     def wait_closed(self, timeout_s: float) -> bool:
         """Whether the other end has closed in time; what it still says is let go."""
         self.socket.settimeout(max(0.001, timeout_s))
@@ -72,6 +78,35 @@ class Channel:
     def close(self) -> None:
         """Let go of the socket; the other end notices."""
         self.socket.close()
+
+
+class Bell:
+    """Wakes who selects on it, from other threads and from signal handlers."""
+
+    def __init__(self) -> None:
+        self._read, self._write = os.pipe()
+        os.set_blocking(self._write, False)
+
+    def fileno(self) -> int:
+        """For selectors."""
+        return self._read
+
+    def ring(self) -> None:
+        """Wake; nothing happens when it rings already, or is closed."""
+        try:
+            os.write(self._write, b"!")
+        except OSError:
+            logging.getLogger(__name__).debug("it rings already, or nobody hears it any more")
+
+    def silence(self) -> None:
+        """Take note of it."""
+        os.read(self._read, 4096)
+
+    def close(self) -> None:
+        """Let go of it; who rings now must not meet what is opened next under these numbers."""
+        ends, self._read, self._write = (self._read, self._write), -1, -1
+        for end in ends:
+            os.close(end)
 
 
 class ChannelLog(logging.Handler):

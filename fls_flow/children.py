@@ -42,6 +42,7 @@ class Child:
     report: dict[str, Any] | None = None
     reached: dict[str, Whereabouts] = field(default_factory=dict)  # by node, once it was looked for
     heard: float = 0.0  # when it last said anything, monotonic
+    born: float | None = None  # when it began, monotonic
     exit_code: int | None = None
     _partial: bytes = field(default=b"", init=False, repr=False)
 
@@ -68,7 +69,10 @@ class Child:
         code = self.exit_code
         if code is None:
             return ""
-        return f" (signal {-code}: {signal.Signals(-code).name})" if code < 0 else f" (exit code {code})"
+        if code >= 0:
+            return f" (exit code {code})"
+        named = -code in set(signal.Signals)  # real-time signals have no names but the first and the last
+        return f" (signal {-code}: {signal.Signals(-code).name})" if named else f" (signal {-code})"
 
     def show_printed(self) -> bool:
         """Pass on the whole lines that it has printed, with its name; False at the end."""
@@ -132,6 +136,14 @@ class Children:
         for child in self:
             child.channel.send(word)
 
+    def late(self, patience_s: float) -> Iterator[Child]:
+        """Those that are not ready so long after they began; each is given up."""
+        now = time.monotonic()
+        for child in self:
+            if not (child.ready or child.done or child.born is None) and now - child.born > patience_s:
+                child.done = True
+                yield child
+
     def silent(self, patience_s: float) -> Iterator[tuple[Child, float]]:
         """Those that have said nothing for so long, and for how long; each is given up."""
         for child in self:
@@ -140,6 +152,10 @@ class Children:
                 child.done = True
                 child.look()
                 yield child, silent_s
+
+    def ended(self) -> list[Child]:
+        """Those of which it is known that they have exited, but not that they were done."""
+        return [child for child in self if child.exit_code is not None and not child.done]
 
     def kill(self) -> None:
         """End those that are not done at once."""
@@ -170,7 +186,10 @@ class Children:
     def _heard(self, said: dict[str, Any]) -> str | None:
         if said["word"] == "failed":
             return f"the process that starts the others failed: {said['text']}"
-        self._by_name[said["process"]].exit_code = said["code"]
+        if said["word"] == "born":
+            self._by_name[said["process"]].born = time.monotonic()
+        else:
+            self._by_name[said["process"]].exit_code = said["code"]
         return None
 
     def part(self) -> None:

@@ -29,6 +29,7 @@ from fls_flow.runtime import Report
 __all__ = ["Counting", "headline", "kind_table", "kinds_table", "log_to", "nodes_table", "progress"]
 
 STARTING = "starting (a first run compiles)"
+SHOWN = 1000  # characters of a logged line
 
 
 class Counting(Protocol):
@@ -67,6 +68,7 @@ def progress(console: Console, total: int | None, *, shown: bool) -> Iterator[Co
 def log_to(console: Console, *, debug: bool) -> Iterator[None]:
     """Show warnings on the console; errors are reported once, at the end."""
     handler = RichHandler(console=console, show_path=False, show_time=False, markup=False)
+    handler.setFormatter(_ShortLines("%(message)s"))
     handler.setLevel(logging.DEBUG if debug else logging.WARNING)
     handler.addFilter(lambda record: debug or record.levelno < logging.ERROR)
     root = logging.getLogger()
@@ -78,6 +80,17 @@ def log_to(console: Console, *, debug: bool) -> Iterator[None]:
     finally:
         root.removeHandler(handler)
         root.setLevel(before)
+
+
+class _ShortLines(logging.Formatter):
+    """Cuts lines that no terminal could show: breaking them takes time that grows with their square."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The message, with a word on what is cut; `run.log` has it whole."""
+        return "\n".join(map(self._cut, super().format(record).split("\n")))
+
+    def _cut(self, line: str) -> str:
+        return line if len(line) <= SHOWN else f"{line[:SHOWN]}... ({len(line):,} characters, see run.log)"
 
 
 def headline(graph: Graph, report: Report) -> dict[str, float]:

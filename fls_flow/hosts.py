@@ -7,6 +7,7 @@ single message matters; a host that falls silent is lost.
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import logging
 import threading
@@ -25,6 +26,7 @@ __all__ = ["Beat", "Hosts", "RunTerms", "State", "ask", "offer"]
 log = logging.getLogger(__name__)
 
 State = Literal["starting", "ready", "go", "stopping", "failed", "done"]
+VERSION = importlib.metadata.version("fls-flow")
 BEAT_S = 0.25
 ASK_S = 0.3
 
@@ -39,16 +41,17 @@ class RunTerms:
     window: int
     live: bool
     options: dict[str, Any] = field(default_factory=dict)
+    began: bool = False  # too late to join: what was sent so far is gone
+    version: str = VERSION  # of fls_flow: messages and words between hosts are those of one version
 
 
-def offer(session: zenoh.Session, deployment: Deployment, terms: RunTerms) -> Any:
+def offer(session: zenoh.Session, deployment: Deployment, terms: RunTerms, began: Callable[[], bool]) -> Any:
     """Answer hosts that ask for the run of this deployment; undeclare what is returned to stop."""
     key = f"fls/{deployment.name}/@run"
-    payload = json.dumps(asdict(terms))
 
     def answer(query: zenoh.Query) -> None:
         with query:
-            query.reply(key, payload)
+            query.reply(key, json.dumps(asdict(replace(terms, began=began()))))
 
     return session.declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
 
@@ -56,36 +59,52 @@ def offer(session: zenoh.Session, deployment: Deployment, terms: RunTerms) -> An
 def ask(
     session: zenoh.Session, deployment: Deployment, graph: str, stopped: threading.Event
 ) -> RunTerms | None:
-    """The terms of the leader's run, waited for.
+    """The terms of the leader's run, waited for; a run that has begun already is let end, the next one is it.
 
     None when `stopped` came first. Raises UserError when its graph or deployment is another one, RunError
-    when it does not answer in time.
+    when it does not answer, or does not end its run, in time.
     """
     deadline = time.monotonic() + deployment.connect_timeout_s
     while not stopped.is_set():
+        late: RunTerms | None = None
         for reply in session.get(f"fls/{deployment.name}/@run", timeout=ASK_S):
             if reply.ok is not None:
-                terms = RunTerms(**json.loads(reply.ok.payload.to_bytes()))
+                terms = _read(reply.ok.payload.to_bytes(), deployment)
                 _agree(terms, deployment, graph)
-                return terms
+                if not terms.began:
+                    return terms
+                late = terms
         if time.monotonic() > deadline:
-            waited = f"did not answer within {deployment.connect_timeout_s:g} s"
-            raise RunError(
-                f"host '{deployment.leader}' {waited}; is it running, and does 'connect' lead there?"
-            )
+            raise RunError(f"host '{deployment.leader}' {_refusal(late, deployment)}")
         stopped.wait(ASK_S)
     return None
+
+
+def _refusal(late: RunTerms | None, deployment: Deployment) -> str:
+    if late is None:
+        waited = f"did not answer within {deployment.connect_timeout_s:g} s"
+        return f"{waited}; {deployment.doubts(deployment.leader, 'there')}"
+    return f"is in the middle of run {late.run}, which nobody can join any more; stop it, or wait for its end"
+
+
+def _read(payload: bytes, deployment: Deployment) -> RunTerms:
+    try:
+        return RunTerms(**json.loads(payload))
+    except (ValueError, TypeError) as error:
+        what = f"host '{deployment.leader}' answers as another version of fls_flow would"
+        raise UserError(f"{what}; install the same one on both hosts (here {VERSION})") from error
 
 
 def _agree(terms: RunTerms, deployment: Deployment, graph: str) -> None:
     for what, theirs, ours in (
         ("graph", terms.graph, graph),
         ("deployment", terms.deployment, deployment.digest),
+        ("version of fls_flow", terms.version, VERSION),
     ):
         if theirs != ours:
             raise UserError(
                 f"host '{deployment.leader}' runs another {what} ({theirs}, here {ours}); "
-                "give both hosts the same files and options"
+                "give both hosts the same files, options and versions"
             )
 
 

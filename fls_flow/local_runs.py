@@ -7,6 +7,7 @@ import os
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -18,6 +19,9 @@ __all__ = ["LocalRun", "announce", "find", "listed", "meeting_place"]
 
 SOCKET_PATH_BYTES = 107  # sun_path of Linux, without its final zero
 ABOUT = "run.json"
+OWNER = "the.pid"  # of its supervisor; no process has a name with a dot
+ROOM_BYTES = 64 << 10
+TRIES, TRY_S = 5, 0.02
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ def meeting_place(run: str, names: Iterable[str]) -> Iterator[Path]:
     try:
         yield path
     finally:
-        shutil.rmtree(path, ignore_errors=True)
+        _remove(path)
 
 
 def _made(folders: Sequence[Path], run: str) -> Path:
@@ -66,10 +70,32 @@ def _made(folders: Sequence[Path], run: str) -> Path:
             _private(folder)
             _sweep(folder)
             (folder / run).mkdir(mode=0o700)
+            _claim(folder / run)
             return folder / run
         except OSError as error:
             reasons.append(f"{folder}: cannot be used: {error.strerror}")
     raise RunError(f"{'; '.join(reasons)}; set XDG_RUNTIME_DIR to a folder of your own")
+
+
+def _claim(folder: Path) -> None:
+    """Note whose it is; raise OSError, and remove it, without room for what a run keeps in it."""
+    trial = folder / "the.room"
+    try:
+        (folder / OWNER).write_text(str(os.getpid()), encoding="utf-8")
+        trial.write_bytes(bytes(ROOM_BYTES))
+        trial.unlink()
+    except OSError:
+        _remove(folder)
+        raise
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder from which a closing session may be taking its own files at this moment."""
+    for _ in range(TRIES):
+        shutil.rmtree(folder, ignore_errors=True)
+        if not folder.exists():
+            return
+        time.sleep(TRY_S)
 
 
 def _private(folder: Path) -> None:
@@ -80,12 +106,12 @@ def _private(folder: Path) -> None:
 
 def _sweep(folder: Path) -> None:
     """Remove what runs that were killed whole have left behind."""
-    for path in folder.glob(f"*/{ABOUT}"):
+    for path in folder.glob(f"*/{OWNER}"):
         try:
-            os.kill(json.loads(path.read_text(encoding="utf-8"))["pid"], 0)
+            os.kill(int(path.read_text(encoding="utf-8")), 0)
         except ProcessLookupError:
             shutil.rmtree(path.parent, ignore_errors=True)
-        except (OSError, ValueError, TypeError, KeyError):
+        except (OSError, ValueError, OverflowError):
             continue  # it has just ended, or is not ours to judge
 
 

@@ -6,6 +6,7 @@ that both import side by side. It opens no Zenoh session and starts no thread: a
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import json
@@ -68,13 +69,16 @@ def _bring_up(end: socket.socket) -> None:
                 ends, descriptors, end, lambda own, group=group: worker.serve(graph, assignment, group, own)
             )
         children[child] = group.name
+        channel.send("born", process=group.name)
     for descriptor in descriptors:
         os.close(descriptor)
     while children:
         child, status = os.wait()
         channel.send("exit", process=children.pop(child), code=os.waitstatus_to_exitcode(status))
-    if not groups:
-        channel.receive()  # a host that only relays: to the end of its supervisor
+    while (
+        channel.receive() is not None
+    ):  # to the end of its supervisor, which may still look at what is there
+        pass
     # a killed process leaves shared memory, a killed supervisor the folder of sockets
     ring.sweep(assignment.arenas)
     shutil.rmtree(assignment.sockets, ignore_errors=True)
@@ -108,8 +112,9 @@ def _become(ends: tuple[int, int], descriptors: list[int], nursery: socket.socke
         serve(Channel(socket.socket(fileno=own)))
         code = 0
     finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):  # a node may have closed it, or put another in its place
+                stream.flush()
         os._exit(code)
 
 

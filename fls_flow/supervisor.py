@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import selectors
 import threading
 import time
@@ -14,6 +13,7 @@ from typing import Any, Literal
 
 import zenoh
 
+from fls_flow.channel import Bell
 from fls_flow.children import Child, Children
 from fls_flow.deploy import Deployment
 from fls_flow.errors import FlsFlowError, RunError
@@ -72,8 +72,7 @@ class Supervisor:
             "samples_taken": options.samples_taken,
         }
         self._children = Children(nursery, deployment.groups(host))
-        self._wake_read, self._wake_write = os.pipe()
-        os.set_blocking(self._wake_write, False)
+        self._bell = Bell()
         self._stopped_at: float | None = None
         self._interrupted = False
         self._error: FlsFlowError | None = None
@@ -102,7 +101,6 @@ class Supervisor:
                     return self._never_began(time.monotonic() - began)
                 assignment = self._assignment(terms, place)
                 announce(place, self.graph.name, terms.run, self.host, hub)
-                self._children.bear(self.graph, assignment)
                 self._meet(session, assignment)
                 try:
                     self._watch()
@@ -126,7 +124,7 @@ class Supervisor:
         digests = self.graph.digest, self.deployment.digest
         terms = RunTerms(self.id, *digests, self._pace.window, self._pace.live, self._options)
         if len(self.deployment.hosts) > 1:
-            self._offer = offer(session, self.deployment, terms)
+            self._offer = offer(session, self.deployment, terms, lambda: self._went)
         return terms
 
     def _assignment(self, terms: RunTerms, place: Path) -> Assignment:
@@ -144,20 +142,21 @@ class Supervisor:
     def _meet(self, session: zenoh.Session, assignment: Assignment) -> None:
         self._began = time.monotonic()
         if len(self.deployment.hosts) > 1:
-            self._hosts = Hosts(session, self.deployment, assignment.prefix, self.host, self._wake)
+            self._hosts = Hosts(session, self.deployment, assignment.prefix, self.host, self._bell.ring)
+        try:
+            self._children.bear(self.graph, assignment)
+        except FlsFlowError as error:
+            if self._hosts is not None:  # so that nobody waits for this host
+                self._hosts.say("failed", error=str(error))
+                self._hosts.close()
+            raise
         self._advance()
 
     def stop(self) -> None:
         """Start no further ping, finish those in flight, close."""
         self._interrupted = True
         self._stop_asked.set()
-        self._wake()
-
-    def _wake(self) -> None:
-        try:
-            os.write(self._wake_write, b"!")
-        except OSError:
-            log.debug("the supervisor has been woken often enough, or has ended")
+        self._bell.ring()
 
     def _names(self) -> list[str]:
         return [group.name for group in self.deployment.groups(self.host)]
@@ -166,7 +165,7 @@ class Supervisor:
 
     def _watch(self) -> None:
         with selectors.DefaultSelector() as selector:
-            selector.register(self._wake_read, selectors.EVENT_READ, self._woken)
+            selector.register(self._bell, selectors.EVENT_READ, self._woken)
             selector.register(self._children.nursery.channel, selectors.EVENT_READ, self._nursery_said)
             for child in self._children:
                 selector.register(child.channel, selectors.EVENT_READ, lambda c=child: self._said(c))
@@ -178,7 +177,7 @@ class Supervisor:
                 self._check_time()
 
     def _woken(self) -> bool:
-        os.read(self._wake_read, 4096)
+        self._bell.silence()
         if self._interrupted:
             self._halt("stopping")
         if self._hosts is not None:
@@ -256,7 +255,14 @@ class Supervisor:
             self._children.kill()
         elif self._went:
             for child, silent_s in self._children.silent(self.deployment.lost_after_s):
-                self._fail(ProcessError(f"{child} is silent for {silent_s:.1f} s"))
+                why = (
+                    "stopped, or in code that holds Python's lock; the deployment's lost_after_s allows more"
+                )
+                self._fail(ProcessError(f"{child} is silent for {silent_s:.1f} s ({why})"))
+        elif self._stopped_at is None:  # each gives up by itself a little earlier, unless it hangs
+            patience_s = self.deployment.connect_timeout_s + self.deployment.lost_after_s
+            for child in self._children.late(patience_s):
+                self._fail(ProcessError(f"{child} was not ready after {patience_s:g} s"))
 
     def _lost(self, hosts: Hosts) -> str | None:
         """Why the run cannot go on without another host: it fell silent, or never came."""
@@ -264,9 +270,8 @@ class Supervisor:
         if self._went or time.monotonic() - self._began < patience_s or not (names := hosts.missing()):
             return hosts.lost()
         who = ", ".join(f"'{name}'" for name in names)
-        return (
-            f"host {who} did not come within {patience_s:g} s; is it running, and does 'connect' lead here?"
-        )
+        doubts = self.deployment.doubts(self.host, "here")
+        return f"host {who} did not come within {patience_s:g} s; {doubts}"
 
     def _said(self, child: Child) -> bool:
         documents, there = child.channel.drain()
@@ -274,11 +279,14 @@ class Supervisor:
         for said in documents:
             getattr(self, f"_on_{said.pop('word')}")(child, **said)
         if not there and not child.done:
-            child.done = True
-            child.look()
             self._children.wait_for_exit(child)
-            self._fail(ProcessError(f"{child} died{child.cause}"))
+            self._died(child)
         return there
+
+    def _died(self, child: Child) -> None:
+        child.done = True
+        child.look()
+        self._fail(ProcessError(f"{child} died{child.cause}"))
 
     def _on_ready(self, child: Child) -> None:
         child.ready = True
@@ -315,6 +323,11 @@ class Supervisor:
             self._fail(ProcessError(wrong))
             for child in self._children:
                 child.done = True
+        for child in self._children.ended():  # a process that it has forked may hold its channel open
+            while not child.done and child.channel.pending():
+                self._said(child)
+            if not child.done:
+                self._died(child)
         return there and wrong is None
 
     # --- the end ---------------------------------------------------------------------------------
@@ -327,8 +340,7 @@ class Supervisor:
 
     def _end(self) -> None:
         self._children.close()
-        os.close(self._wake_read)
-        os.close(self._wake_write)
+        self._bell.close()
 
     def _never_began(self, seconds: float) -> Report:
         """The report of a host that was stopped while it waited for the leader."""

@@ -27,6 +27,7 @@ VERBS = {
     "plugins": "List the installed kinds, or show one.",
     "top": "Show what the nodes of a run are doing.",
     "draw": "Draw GRAPH as Mermaid text or as an SVG picture.",
+    "schema": "Print the JSON Schema of graph or deployment files, for editors.",
     "evaluate": "Score tracks, detections and estimates against truth.",
     "train": "Train classifiers on the features of tracks.",
     "calibrate": "Find the threshold with which a detector meets a rate of false alarms.",

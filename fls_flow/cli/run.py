@@ -84,16 +84,20 @@ def _run_with(context: click.Context, graph: str, options: dict[str, Any], nurse
     folder = runtime.RunFolder.create(checked, options["out"])
     terminal, as_json = screen(stderr=True), options["as_json"]
     if not as_json:
-        click.echo(f"writing to {folder.path}", err=True)
+        click.echo(f"writing to {folder.shown}", err=True)
     debug = bool(context.find_root().params["debug"])
     with folder.logging(), console.log_to(terminal, debug=debug):
         shown = not (as_json or options["no_progress"])
         report = _run(checked, settings, folder, terminal, nursery, deployment, host, shown=shown)
     if as_json:
-        document = {"out": str(folder.path), "figures": console.headline(checked, report), **report.summary()}
+        document = {
+            "out": str(folder.shown),
+            "figures": console.headline(checked, report),
+            **report.summary(),
+        }
         click.echo(json.dumps(document))
     else:
-        _print_report(checked, report, folder.path)
+        _print_report(checked, report, folder)
     if report.error is not None:
         raise report.error
     return 130 if report.status == "interrupted" else 0
@@ -232,7 +236,7 @@ def _stopped_by_signals(one: Run | Supervisor) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _print_report(checked: Graph, report: Report, out: Path) -> None:
+def _print_report(checked: Graph, report: Report, out: RunFolder) -> None:
     from fls_flow import console
 
     terminal = screen(stderr=False)
@@ -240,7 +244,9 @@ def _print_report(checked: Graph, report: Report, out: Path) -> None:
     figures = console.headline(checked, report)
     terminal.print("  ".join(f"[bold]{name}[/bold] {value:,}" for name, value in figures.items()))
     terminal.print(
-        f"{report.status}; wrote {', '.join(_written(out))} in {out}", soft_wrap=True, highlight=False
+        f"{report.status}; wrote {', '.join(_written(out.path))} in {out.shown}",
+        soft_wrap=True,
+        highlight=False,
     )
 
 

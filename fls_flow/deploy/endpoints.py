@@ -36,11 +36,16 @@ class Endpoint:
         return address is not None and address.is_loopback
 
     def reaches(self, other: Endpoint) -> bool:
-        """Whether who connects to this endpoint reaches one who listens on the other."""
+        """Whether who connects to this endpoint may reach one who listens on the other.
+
+        Of a name beside an address nobody knows before it is looked up, which another host may do otherwise.
+        """
         if (self.protocol, self.port) != (other.protocol, other.port):
             return False
-        address = _address(other.host)
-        return self.host == other.host or (address is not None and address.is_unspecified)
+        if self.host == other.host:
+            return True
+        here, there = _address(self.host), _address(other.host)
+        return (here is None and there is not None) or (there is not None and there.is_unspecified)
 
 
 def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:

@@ -102,6 +102,14 @@ class Deployment:
         sources = {node.name for node in graph.nodes if node.kind.source}
         return tuple(node.name for node in graph.nodes if node.name not in awaited | sources | free)
 
+    def doubts(self, host: str, where: str) -> str:
+        """What to look at when somebody does not meet `host`, or the other way round: one question."""
+        settings = self.zenoh.get(host, Zenoh())
+        asked = ["is it running", f"does 'connect' lead {where}"]
+        asked += ["do the passwords fit"] * (settings.user is not None)
+        asked += ["do the certificates fit"] * (settings.tls is not None)
+        return f"{', '.join(asked[:-1])}, and {asked[-1]}?"
+
     def zenoh_config(
         self,
         host: str,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -11,7 +12,17 @@ from fls_flow.graph import Node
 from fls_flow.messages import Message
 from fls_flow.runtime import answer
 
-__all__ = ["abandoned", "cause_of", "closed", "iterated", "made", "not_ctrl_c", "source_outputs"]
+__all__ = [
+    "abandoned",
+    "answered",
+    "cause_of",
+    "closed",
+    "iterated",
+    "made",
+    "not_a_copy",
+    "not_ctrl_c",
+    "source_outputs",
+]
 
 
 def closed(node: Node, instance: Any, patience_s: float) -> NodeError | None:
@@ -61,6 +72,15 @@ def source_outputs(node: Node, produced: Any, index: int) -> dict[str, Message]:
     return outputs
 
 
+def answered(instance: Any, inputs: dict[str, Any]) -> Any:
+    """What a node answers; raises what it raises."""
+    process = os.getpid()
+    try:
+        return instance(**inputs)
+    finally:
+        not_a_copy(process)
+
+
 def iterated(node: Node, instance: Any) -> Iterator[Any]:
     """The source's iterator; raises NodeError with the cause."""
     try:
@@ -72,11 +92,14 @@ def iterated(node: Node, instance: Any) -> Iterator[Any]:
 
 def made(node: Node, iterator: Iterator[Any], index: int) -> Any | None:
     """What the source makes next, None at its end; raises NodeError with the cause."""
+    process = os.getpid()
     try:
         return next(iterator, None)
     except BaseException as error:
         not_ctrl_c(error)
         raise NodeError(node.name, index, None, cause_of(error)) from error
+    finally:
+        not_a_copy(process)
 
 
 def abandoned(node: Node, iterator: Iterator[Any], index: int) -> None:
@@ -86,6 +109,15 @@ def abandoned(node: Node, iterator: Iterator[Any], index: int) -> None:
     except BaseException as error:
         not_ctrl_c(error)
         raise NodeError(node.name, index, None, f"while closing: {cause_of(error)}") from error
+
+
+def not_a_copy(process: int) -> None:
+    """End this process unless it is `process`: a copy that the node has forked has come back from the call.
+
+    It shares sockets and files with the run, which goes on without it.
+    """
+    if os.getpid() != process:
+        os._exit(0)
 
 
 def not_ctrl_c(error: BaseException) -> None:

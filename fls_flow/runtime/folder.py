@@ -22,10 +22,10 @@ __all__ = ["RunFolder"]
 
 
 class RunFolder:
-    """The folder of one run; a run never overwrites another's files."""
+    """The folder of one run; a run never overwrites another's files. `shown` is its path as it was given."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.shown, self.path = path, path.absolute()  # a node may change the working directory
 
     @classmethod
     def create(cls, graph: Graph, path: Path | None = None) -> RunFolder:
@@ -87,6 +87,11 @@ class RunFolder:
 
 class _QuietFile(logging.FileHandler):
     """A log file that does not drown the errors of a full disk in tracebacks."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record; where the file cannot even be opened, nothing: who logs is not to blame."""
+        with contextlib.suppress(OSError):
+            super().emit(record)
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 -- logging's name
         """Say nothing: what was to be logged is shown on the terminal too."""

@@ -16,7 +16,7 @@ from fls_flow.links import Delivery, End, Item, Link, Sample, SamplesEnd
 from fls_flow.messages import Message
 from fls_flow.observe import NodeCounts
 from fls_flow.runtime import answer
-from fls_flow.runtime.calls import cause_of, not_ctrl_c
+from fls_flow.runtime.calls import answered, cause_of, not_ctrl_c
 from fls_flow.runtime.position import Position
 
 __all__ = ["NodeHost", "StreamInput"]
@@ -191,7 +191,7 @@ class NodeHost:
         started = time.perf_counter()
         try:
             before = self.instance.snapshot() if self._keeps_state else None
-            outputs = answer.named(self.node.kind, self.instance(**inputs))
+            outputs = answer.named(self.node.kind, answered(self.instance, inputs))
             answer.same_ping(outputs.values(), ping.seq, ping.stamp_ns)
         except BaseException as error:  # whatever it is, the run must end, not hang
             not_ctrl_c(error)

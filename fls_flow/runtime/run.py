@@ -15,7 +15,7 @@ from fls_flow.graph import Graph, Node
 from fls_flow.links import Link
 from fls_flow.links.memory import MemoryLink, Tap
 from fls_flow.parameters import resolve
-from fls_flow.runtime.calls import closed
+from fls_flow.runtime.calls import cause_of, closed
 from fls_flow.runtime.node import NodeHost
 from fls_flow.runtime.source import ClockHost, StreamHost
 from fls_flow.runtime.terms import Options, Report, Share, finished_pings, holders, pace_of, pings_of
@@ -241,6 +241,13 @@ class Run:
         self._stuck = {thread.name for thread in threads if thread.is_alive()}
 
     def _serve(self, host: Host) -> None:
+        try:
+            self._drive(host)
+        except BaseException as error:  # such as what a node raises in all threads: still, the run must end
+            host.done = True
+            self.fail(NodeError(host.node.name, host.index, None, f"its thread died: {cause_of(error)}"))
+
+    def _drive(self, host: Host) -> None:
         limit_this_thread(self.options.threads)
         while not (host.done or self._aborted.is_set()):
             if self._step(host) or host.done:

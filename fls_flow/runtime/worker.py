@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import threading
 import time
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import zenoh
 
 from fls_flow.channel import Channel, ChannelLog
 from fls_flow.deploy import Deployment, Group
-from fls_flow.errors import FlsFlowError
+from fls_flow.errors import FlsFlowError, RunError
 from fls_flow.graph import Graph
 from fls_flow.links.placement import Placement
 from fls_flow.links.zenoh import ZenohLink
@@ -76,11 +77,18 @@ class Assignment:
 
 
 def open_session(settings: dict[str, Any]) -> zenoh.Session:
-    """A Zenoh session with these settings; never in a process that was forked from one with a session."""
+    """A Zenoh session with these settings; never in a process that was forked from one with a session.
+
+    Raises RunError when it cannot listen where it should.
+    """
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
-    return zenoh.open(config)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        cause = re.sub(r" at \S+\.rs:\d+\.?", "", str(error))  # the places in Zenoh's own source
+        raise RunError(f"no Zenoh session: {cause}; look at 'listen', and at who listens there") from error
 
 
 def close_session(session: zenoh.Session) -> None:

@@ -460,3 +460,21 @@ def test_check_of_a_host(tmp_path: Path) -> None:
     for words in (["--host", "vehicle"], ["--deploy", "mtls", "--host", "nobody"], ["--deploy", "none"]):
         done = check(tmp_path, *words)
         assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
+
+
+@pytest.mark.parametrize(
+    ("connects", "listens", "reached"),
+    [
+        ("tcp/10.0.0.1:7447", "tcp/10.0.0.1:7447", True),
+        ("tcp/10.0.0.1:7447", "tcp/0.0.0.0:7447", True),
+        ("tcp/10.0.0.2:7447", "tcp/10.0.0.1:7447", False),
+        ("tcp/10.0.0.1:7448", "tcp/10.0.0.1:7447", False),
+        ("tls/10.0.0.1:7447", "tcp/10.0.0.1:7447", False),
+        ("tls/vehicle.local:7447", "tls/10.0.0.1:7447", True),  # a certificate is for a name
+        ("tls/localhost:7447", "tls/127.0.0.1:7447", True),
+        ("tls/vehicle.local:7447", "tls/vehicle.local:7447", True),
+        ("tls/vehicle.local:7447", "tls/topside.local:7447", False),
+    ],
+)
+def test_who_connects_where_somebody_may_listen(connects: str, listens: str, reached: bool) -> None:
+    assert endpoints.parse(connects).reaches(endpoints.parse(listens)) is reached

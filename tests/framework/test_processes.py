@@ -10,8 +10,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -23,86 +24,6 @@ from fls_flow.runtime.worker import Assignment
 
 FLS_FLOW = [sys.executable, "-m", "fls_flow.cli"]
 ROOT = Path(__file__).parents[2]
-
-SITE = ROOT / "tests" / "site"  # a distribution with kinds for tests
-GRAPH = """
-graph: toy
-nodes:
-  sonar: {use: acme-pings}
-  nav: {use: acme-nav}
-  slow: {use: acme-slow, in: {ping: sonar, nav: nav@time}}
-  out: {use: detection-csv, in: {detections: slow}}
-"""
-
-
-@pytest.fixture
-def place(tmp_path: Path) -> Iterator[Path]:
-    """A folder with the graph `toy.yaml`."""
-    (tmp_path / "toy.yaml").write_text(GRAPH)
-    with tempfile.TemporaryDirectory(prefix="fls") as short:  # names of sockets have to be short
-        (tmp_path / "run").symlink_to(short)
-        yield tmp_path
-
-
-def environment(place: Path) -> dict[str, str]:
-    short = str((place / "run").resolve())
-    # both places where runs meet: those of other tests are out of sight
-    paths = {"PYTHONPATH": str(SITE), "XDG_RUNTIME_DIR": short, "TMPDIR": short}
-    return {**os.environ, **paths, "COLUMNS": "160"}
-
-
-Start = Callable[..., "subprocess.Popen[str]"]
-
-
-@pytest.fixture
-def start(place: Path) -> Iterator[Start]:
-    """Start `fls-flow run`; afterwards nothing of it may be left."""
-    started: list[subprocess.Popen[str]] = []
-
-    def begin(*words: str, within: Sequence[str] = (), **variables: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            [*within, *FLS_FLOW, "run", *words],
-            cwd=place,
-            env={**environment(place), **variables},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        started.append(process)
-        return process
-
-    yield begin
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-    assert not left_over(place)
-
-
-def left_over(place: Path, wait_s: float = 5.0) -> list[str]:
-    """Processes and files of runs in this folder, after a moment in which they may end."""
-    deadline = time.monotonic() + wait_s
-    runs = [json.loads(path.read_text()).get("run", "?") for path in place.glob("*/run.json")]
-    shared = [path for run in runs for path in Path("/dev/shm").glob(f"fls-{run}-*")]
-    while found := [*of_this_place(place), *map(str, [*(place / "run" / "fls-flow").glob("*"), *shared])]:
-        if time.monotonic() > deadline:
-            break
-        time.sleep(0.05)
-        shared = [path for path in shared if path.exists()]
-    return found
-
-
-def of_this_place(place: Path) -> list[str]:
-    """The processes that were started with this folder's environment."""
-    found = []
-    mark = f"XDG_RUNTIME_DIR={(place / 'run').resolve()}\0".encode()
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if mark in (folder / "environ").read_bytes() and (folder / "cmdline").read_bytes():
-                found.append(folder.name)
-        except OSError:
-            continue
-    return found
 
 
 def ended(process: subprocess.Popen[str], timeout_s: float = 60.0) -> tuple[int, str, str]:
@@ -120,24 +41,6 @@ def wait_for(what: Callable[[], object], timeout_s: float = 30.0) -> None:
     while not what():
         assert time.monotonic() < deadline
         time.sleep(0.02)
-
-
-def pid_of(place: Path, process: subprocess.Popen[str], nodes: str) -> int:
-    """The process of a group of nodes, found by the socket on which it listens."""
-    inodes = {
-        line.split()[-2]
-        for line in Path("/proc/net/unix").read_text().splitlines()
-        if line.endswith(f"/{nodes}")
-    }
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            links = [os.readlink(one) for one in (folder / "fd").iterdir()]
-        except OSError:
-            continue
-        held = any(link == f"socket:[{inode}]" for inode in inodes for link in links)
-        if held and folder.name in of_this_place(place):
-            return int(folder.name)
-    raise AssertionError(f"no process of {nodes}")
 
 
 # --- the same bytes ------------------------------------------------------------------------------
@@ -241,7 +144,7 @@ def test_a_node_that_raises_is_named_and_what_was_written_stays(place, start):
     assert "Traceback" in (place / "o" / "run.log").read_text()
 
 
-def long_run(start: Start) -> subprocess.Popen[str]:
+def long_run(start: Any) -> subprocess.Popen[str]:
     return start("toy.yaml", "--out", "o", "--set", "sonar.pings=100000", "--set", "slow.sleep_s=0.01")
 
 
@@ -269,7 +172,7 @@ def test_ctrl_c_stops_everything_within_two_seconds(place, start):
 def test_a_process_that_dies_is_named(place, start, victim):
     process = long_run(start)
     wait_for(lambda: running(place))
-    os.kill(pid_of(place, process, victim), signal.SIGKILL)
+    os.kill(start.pid_of(victim), signal.SIGKILL)
     code, _, err = ended(process)
     assert code == 1
     errors = [line for line in err.splitlines() if line.startswith("error:")]
@@ -287,7 +190,7 @@ def test_a_process_that_dies_is_named(place, start, victim):
 def test_a_process_that_hangs_is_named(place, start):
     process = long_run(start)
     wait_for(lambda: running(place))
-    os.kill(pid_of(place, process, "slow"), signal.SIGSTOP)
+    os.kill(start.pid_of("slow"), signal.SIGSTOP)
     code, _, err = ended(process)
     assert code == 1
     assert "process 'slow' with node 'slow'" in err
@@ -337,13 +240,13 @@ def test_what_goes_wrong_while_closing_fails_the_run(place, start):
 
 def test_a_program_that_a_node_has_started_ends_with_the_run(place, start):
     (place / "fated.yaml").write_text(FATED)
-    code, _, err = ended(start("fated.yaml", "--out", "o", "--set", "fated.fate=leave-program"))
+    code, _, err = ended(start("fated.yaml", "--out", "o", "--set", "fated.fate=leave_program"))
     assert code == 0, err
 
 
 def test_a_process_that_lets_go_of_everything_is_lost(place, start):
     (place / "fated.yaml").write_text(FATED)
-    code, _, err = ended(start("fated.yaml", "--out", "o", "--set", "fated.fate=let-go"))
+    code, _, err = ended(start("fated.yaml", "--out", "o", "--set", "fated.fate=let_go"))
     assert code == 1
     errors = [line for line in err.splitlines() if line.startswith("error:")]
     assert len(errors) == 1
@@ -380,7 +283,7 @@ def test_a_terminal_that_is_closed_stops_the_run(place, start):
 def test_a_second_signal_ends_the_run_at_once_and_run_json_says_so(place, start):
     process = long_run(start)
     wait_for(lambda: running(place))
-    os.kill(pid_of(place, process, "slow"), signal.SIGSTOP)  # so that the first takes its time
+    os.kill(start.pid_of("slow"), signal.SIGSTOP)  # so that the first takes its time
     process.send_signal(signal.SIGTERM)
     time.sleep(0.3)
     process.send_signal(signal.SIGTERM)
@@ -410,18 +313,18 @@ def test_a_nursery_that_died_before_it_was_needed_is_named():
     nursery.channel.close()
 
 
-def test_a_nursery_ends_with_its_supervisor_while_it_loads(place):
+def test_a_nursery_ends_with_its_supervisor_while_it_loads(start):
     code = "from fls_flow.nursery import Nursery; import os; Nursery(); os.kill(os.getpid(), 9)"
-    done = subprocess.run([sys.executable, "-c", code], env=environment(place), check=False)
+    done = subprocess.run([sys.executable, "-c", code], env=start.environment(), check=False)
     assert done.returncode == -signal.SIGKILL
-    assert not left_over(place)
+    assert not start.left_over()
 
 
 def test_when_the_supervisor_is_killed_the_others_notice_and_end(place, start):
     process = long_run(start)
     wait_for(lambda: running(place))
     process.kill()
-    assert not left_over(place)
+    assert not start.left_over()
     read = rows(place / "o" / "detections.csv")
     assert all(row["stamp_ns"] for row in read), "the file was closed whole"
     assert json.loads((place / "o" / "run.json").read_text())["status"] == "running"
@@ -465,10 +368,11 @@ def test_a_user_without_privileges_has_the_same_bytes_through_shared_memory(plac
             "--bounding-set=-all,+dac_read_search",
         ]
         plain += ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", *may]
-        for folder in (own, (place / "run").resolve()):
+        for folder in (own, start.short):
             os.chown(folder, 65534, 65534)
     graph = str(place / "recorded.yaml")
-    Path(graph).write_text(GRAPH + "  rec: {use: acme-recorder, in: {ping: sonar, slow: slow}}\n")
+    toy = (place / "toy.yaml").read_text()
+    Path(graph).write_text(toy + "  rec: {use: acme-recorder, in: {ping: sonar, slow: slow}}\n")
     process = start(graph, "--out", str(own / "o"), *words, within=plain, HOME=str(own))
     code, _, err = ended(process)
     assert code == 0, err
@@ -490,7 +394,7 @@ qos: {"* -> lazy": latest}
 @pytest.mark.parametrize("grouped", [False, True])
 def test_a_sink_that_takes_the_latest_never_holds_up_the_others(place, start, grouped):
     (place / "lazy.yaml").write_text(
-        GRAPH.replace("graph: toy", "graph: lossy")
+        (place / "toy.yaml").read_text().replace("graph: toy", "graph: lossy")
         + "  lazy: {use: acme-lazy, in: {detections: slow, ping: sonar}}\n"
     )
     processes = "processes: {all: [sonar, nav, slow, out, lazy]}\n" if grouped else ""
@@ -513,10 +417,16 @@ def test_a_sink_that_takes_the_latest_never_holds_up_the_others(place, start, gr
 # --- seen from outside ---------------------------------------------------------------------------
 
 
-def top(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def top(start: Any, *words: str) -> subprocess.CompletedProcess[str]:
     command = [*FLS_FLOW, "top", "--once", *words]
     return subprocess.run(
-        command, cwd=place, env=environment(place), capture_output=True, text=True, timeout=30, check=False
+        command,
+        cwd=start.place,
+        env=start.environment(),
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
     )
 
 
@@ -524,7 +434,7 @@ def test_top_shows_what_the_nodes_do(place, start):
     process = long_run(start)
     wait_for(lambda: running(place))
     time.sleep(1.0)
-    done = top(place, "--json")
+    done = top(start, "--json")
     assert done.returncode == 0, done.stderr
     nodes = {name: node for one in json.loads(done.stdout) for name, node in one["nodes"].items()}
     assert set(nodes) == {"sonar", "nav", "slow", "out"}
@@ -532,16 +442,16 @@ def test_top_shows_what_the_nodes_do(place, start):
     assert nodes["slow"]["p50_ms"] >= 10.0
     assert 0 < nodes["slow"]["rate_hz"] <= 110
     assert all(one["memory_bytes"] > 1e7 for one in json.loads(done.stdout))
-    table = top(place).stdout
+    table = top(start).stdout
     assert "slow" in table
     assert "p99 ms" in table
     run = json.loads((place / "o" / "run.json").read_text())["run"]
-    assert top(place, run[:6]).returncode == 0
-    unknown = top(place, "zzz")
+    assert top(start, run[:6]).returncode == 0
+    unknown = top(start, "zzz")
     assert unknown.returncode == 2
     assert f"no run begins with 'zzz'; runs on this machine: {run} (toy)" in unknown.stderr
     process.send_signal(signal.SIGINT)
     assert ended(process)[0] == 130
-    nobody = top(place)
+    nobody = top(start)
     assert nobody.returncode == 2
     assert "runs on this machine: none; start one" in nobody.stderr

@@ -37,7 +37,8 @@ OUTPUTS = ("detections.csv", "messages.bin")
 ROUTER = """
 import socket, sys, zenoh
 with socket.socket() as one:
-    one.bind(("127.0.0.1", 0))
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    one.bind(("127.0.0.1", int(sys.argv[1])))
     port = one.getsockname()[1]
 config = zenoh.Config()
 config.insert_json5("mode", '"router"')
@@ -126,11 +127,16 @@ class Rig:
         assert process.stdout.readline()
         return process
 
-    def router(self) -> int:
+    def router(self, port: int = 0) -> int:
         """Start a router that is no host of any deployment; its port."""
-        process = self.beside(["-c", ROUTER])
+        process = self.beside(["-c", ROUTER, str(port)])
         assert process.stdout is not None
         return int(process.stdout.readline())
+
+    def kill_router(self) -> None:
+        """Kill what was started last beside the hosts."""
+        self._others[-1].kill()
+        self._others[-1].wait()
 
     def processes(self, host: str) -> list[int]:
         """All living processes of a host, its supervisor among them."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import pytest
@@ -48,3 +49,20 @@ def test_a_link_that_is_cut_every_second_loses_nothing(rig, finish, through_a_pr
     counted = said()
     assert counted["cuts"] >= 3
     assert counted["bytes_back"] > 30 * 5000 * 3 * 4
+
+
+def test_a_router_that_is_restarted_in_the_middle_loses_nothing(rig, finish):
+    port = rig.router()
+    rig.deploy(f"{{connect: [tcp/127.0.0.1:{port}]}}", "lost_after_s: 10")
+    words = ["--set", "sonar.pings=150", "--set", "slow.sleep_s=0.01"]
+    rig.here(*words)
+    hosts = [rig.host(name, *words) for name in ("vehicle", "topside")]
+    for size in (1000, 6000):
+        rig.wait_until_running(size=size)
+        rig.kill_router()
+        time.sleep(0.3)
+        assert rig.router(port) == port
+    for process in hosts:
+        code, _, err = finish(process)
+        assert code == 0, err
+    rig.same_bytes()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import socket
 import time
 
 import pytest
@@ -62,6 +63,32 @@ def test_the_leader_waits_for_a_host_that_comes_later(rig, finish):
     rig.same_bytes()
 
 
+LEADER = """
+import json, sys, zenoh
+config = zenoh.Config()
+config.insert_json5("mode", '"router"')
+config.insert_json5("listen/endpoints", json.dumps([sys.argv[1]]))
+config.insert_json5("scouting/multicast/enabled", "false")
+with zenoh.open(config) as session:
+    key = "fls/pair/@run"
+    session.declare_queryable(key, lambda query: query.reply(key, sys.argv[2]))
+    print("ready", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("answer", ['{"run": "r", "since": "a later version"}', "[]", "no JSON"])
+def test_a_leader_of_another_version_is_refused(rig, finish, errors, answer):
+    port = rig.loopback("connect_timeout_s: 20")
+    rig.beside(["-c", LEADER, f"tcp/127.0.0.1:{port}", answer])
+    code, _, err = finish(rig.host("topside"))
+    assert code == 2
+    (line,) = errors(err)
+    assert line.startswith(
+        "error: host 'vehicle' answers as another version of fls_flow would; install the same"
+    )
+
+
 @pytest.mark.parametrize("what", ["graph", "deployment"])
 def test_another_graph_or_deployment_is_refused(rig, finish, errors, what):
     rig.loopback("connect_timeout_s: 20")
@@ -94,6 +121,42 @@ def test_a_leader_without_the_other_host_names_it(rig, finish, errors):
     assert code == 1
     (line,) = errors(err)
     assert "host 'topside' did not come within 1.5 s" in line
+
+
+def test_a_wrong_password_is_what_both_are_told_to_look_at(rig, finish, errors):
+    port = rig.loopback()
+    secrets = {"vehicle": "vehicle:one\ntopside:two\n", "topside": "topside:three\n"}
+    for host, lines in secrets.items():
+        (rig.place / f"{host}.txt").write_text(lines)
+        (rig.place / f"{host}.txt").chmod(0o600)
+    address = f"tcp/127.0.0.1:{port}"
+    parts = {"vehicle": f"listen: [{address}]", "topside": f"connect: [{address}]"}
+    own = [f"{host}: {{{way}, user: {host}, password_file: {host}.txt}}" for host, way in parts.items()]
+    rig.deploy(f"{{{', '.join(own)}}}", "connect_timeout_s: 2")
+    started = {name: rig.host(name) for name in parts}
+    for process in started.values():
+        code, _, err = finish(process)
+        assert code == 1
+        (line,) = errors(err)
+        assert line.endswith(", and do the passwords fit?")
+        assert "three" not in err
+
+
+def test_an_address_that_is_taken_is_one_line(rig, finish, errors):
+    port = rig.loopback()
+    with socket.socket() as other:
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        other.bind(("127.0.0.1", port))
+        other.listen()
+        code, _, err = finish(rig.host("vehicle"))
+    assert code == 1
+    (line,) = errors(err)
+    assert (
+        f"tcp/127.0.0.1:{port}: [127.0.0.1:{port}: Address already in use (os error 98)]; look at 'listen'"
+        in line
+    )
+    assert ".rs" not in line
+    assert rig.status("vehicle") == "failed"
 
 
 def test_a_node_that_raises_ends_both_with_the_same_cause(rig, finish, errors):
@@ -193,6 +256,44 @@ def test_ctrl_c_on_either_host_stops_both(rig, finish, pressed):
         assert code == 130, err
         assert "interrupted" in out
     assert time.monotonic() - began < STOP_S
+    assert_whole(rig)
+
+
+def test_a_host_that_is_started_again_in_the_middle_waits_for_the_next_run(rig, finish, errors):
+    rig.loopback("lost_after_s: 2")
+    words = ["--set", "sonar.pings=250", "--set", "slow.sleep_s=0.01"]
+    vehicle, topside = rig.host("vehicle", *words), rig.host("topside", *words)
+    rig.wait_until_running(size=2000)
+    for pid in rig.processes("topside"):
+        os.kill(pid, signal.SIGKILL)
+    topside.wait()
+    again = rig.host("topside", *words, out="again")  # as a service manager would
+    code, _, err = finish(vehicle)
+    assert code == 1
+    assert errors(err) == [f"error: {rig.about('vehicle')['error']}"]
+    assert "host 'topside' is lost: silent for " in err
+    assert again.poll() is None
+    rig.here(*words)
+    code, _, err = finish(rig.host("vehicle", *words, out="vehicle-again"))
+    assert code == 0, err
+    code, _, err = finish(again)
+    assert code == 0, err
+    rig.same_bytes("again")
+
+
+def test_a_run_that_goes_on_lets_nobody_in(rig, finish, errors):
+    rig.loopback("connect_timeout_s: 3")
+    hosts = [rig.host(name, *LONG) for name in ("vehicle", "topside")]
+    rig.wait_until_running()
+    code, _, err = finish(rig.host("topside", *LONG, out="second"))
+    assert code == 1
+    (line,) = errors(err)
+    assert (
+        f"host 'vehicle' is in the middle of run {rig.about('vehicle')['run']}, which nobody can join" in line
+    )
+    assert all(process.poll() is None for process in hosts)
+    hosts[0].send_signal(signal.SIGINT)
+    assert [finish(process)[0] for process in hosts] == [130, 130]
     assert_whole(rig)
 
 
