@@ -142,7 +142,7 @@ def compare(scene: Scene, methods: Sequence[str], seeds: int, soup_seeds: int) -
     installed = Catalog().names()
     trackers = {
         f"fls_flow {name}": (ours(kind), seeds) for name, kind in OURS.items() if kind in installed
-    } | {f"Stone Soup {name}": (theirs(name), soup_seeds) for name in methods}
+    } | {f"Stone Soup {name}": (theirs(name), soup_seeds) for name in methods if soup_seeds}
     table = Table(title=f"{scene.name}, {scene.scans} scans: median of the seeds (worst)")
     for name in ("tracker", "seeds", "CPU ms", "max", "wall ms", "CPU time", *SCORES.values()):
         table.add_column(name, justify="left" if name == "tracker" else "right")
